@@ -32,9 +32,7 @@ def routes() -> list[tuple[str, str]]:
     known += [("GET", str(path)) for path in (getattr(route, "path", None) for route in app.routes) if path is not None]
     unknown = [("GET", "/nothing"), ("POST", "/api/v1/nothing"), ("DELETE", "/api/v1/campaigns"), ("OPTIONS", "/api/v1")]
     assert len(known) > 25
-    return [
-        (method, path) for method, path in [*known, *unknown] if path not in OPEN and path != "/" and not path.startswith(PAGE)
-    ]
+    return [(method, url) for method, url in [*known, *unknown] if url not in OPEN and url != "/" and not url.startswith(PAGE)]
 
 
 @pytest.fixture(scope="module")

@@ -80,6 +80,13 @@ def test_what_was_stored_before_changes_no_count(compared: Compared, database: D
 WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
 
 
+def test_a_shared_cell_counts_in_the_budget_of_each(database: Database) -> None:
+    optimizer = {"kind": "genetic", "population": 10, "iterations": 100, "seed": 1}
+    search: dict[str, Any] = {"optimizer": optimizer, "budget": {"simulations": 120}, "reduction": {"isolated": True}}
+    own, shared = (run(database, submit(database, **search), ComputedBackend()).cells for _ in range(2))
+    assert (own.requested, own.runs, shared.requested, shared.runs) == (own.requested, own.simulated, own.requested, 0)
+
+
 def test_unconfirmed_campaigns_have_the_best_they_simulated(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "CONFIRMED", 0)
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})

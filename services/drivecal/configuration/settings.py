@@ -49,9 +49,7 @@ def _counted(value: object) -> object:
     if not isinstance(value, str):
         return value
     entries = [entry.partition("=") for entry in value.split(",") if entry.strip()]
-    if len({name.strip() for name, *_ in entries}) < len(entries) or not all(
-        count.strip().isdecimal() for *_, count in entries
-    ):
+    if len({key.strip() for key, *_ in entries}) < len(entries) or not all(count.strip().isdecimal() for *_, count in entries):
         raise ValueError("give a whole number for each name once, such as carmaker=4,vtd=2")
     return {name.strip(): int(count) for name, _, count in entries}
 

@@ -245,9 +245,7 @@ MOST_WARNINGS = 20
 
 def cut_scores(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[str]:
     """Returns a warning for each score that is cut off, with its true value."""
-    runs = [
-        (run, f"{result.scenario}{where}") for result in checked for run, where in ((result, ""), (result.other, ", set 2"))
-    ]
+    runs = [(run, f"{each.scenario}{where}") for each in checked for run, where in ((each, ""), (each.other, ", set 2"))]
     return [
         cut_text(where, name, value, manifest.scores[name].failed_worth)
         for run, where in runs

@@ -349,6 +349,13 @@ def confirmed(connection: Connection, campaign_sequence: int) -> dict[str, dict[
     return counted
 
 
+def shared(connection: Connection, campaign_sequence: int) -> int:
+    """Returns how many simulated cells of a campaign's search took a run that another campaign shares."""
+    cell, here = evaluations.c, evaluations.c.stage == StageName.CALIBRATION
+    query = select(func.count()).where(cell.campaign_sequence == campaign_sequence, here, cell.outcome == Outcome.SIMULATED)
+    return connection.execute(query.where(cell.runs == 0)).scalar_one()
+
+
 def are_seeded(connection: Connection, campaign_sequence: int) -> bool:
     """Returns whether a campaign's simulator is random: its cells are stored with seeds."""
     query = select(HAS_SEED).where(evaluations.c.campaign_sequence == campaign_sequence).order_by(evaluations.c.id).limit(1)
@@ -386,9 +393,7 @@ def costs_by_outcome(connection: Connection, campaign_sequence: int) -> list[Out
     return [
         OutcomeCosts(
             *(stage, scenario, Outcome(outcome), audited, cells, own / 1000, simulated, answered / 1000),
-            *(occupied / 1000, occupying_runs / 1000),
+            *(occupied / 1000, occupying / 1000),
         )
-        for stage, scenario, outcome, audited, cells, own, simulated, answered, occupied, occupying_runs in connection.execute(
-            query
-        )
+        for stage, scenario, outcome, audited, cells, own, simulated, answered, occupied, occupying in connection.execute(query)
     ]

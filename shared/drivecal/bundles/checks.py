@@ -288,9 +288,7 @@ def _remainder(manifest: Manifest) -> Iterator[Problem]:
         return
     space = ParameterSpace(known)
     try:
-        Constraints(space, {constraint.text: constraint for constraint in constraints}).region(
-            0 * space.n_values, space.n_values - 1
-        )
+        Constraints(space, {each.text: each for each in constraints}).region(0 * space.n_values, space.n_values - 1)
     except InvalidInputError as error:
         for problem in error.problems:
             yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")

@@ -367,9 +367,7 @@ class ParameterSpace:
                 problems.extend(error.problems)
         for name, fixed in self.fixed.items():
             if name in values and values[name] != fixed:
-                problems.append(
-                    Problem(f"{field_name}.{name}", f"{values[name]} is not the fixed value", f"give {shown(fixed)}")
-                )
+                problems.append(Problem(f"{field_name}.{name}", f"{values[name]} is not the fixed one", f"give {shown(fixed)}"))
         if problems:
             raise InvalidInputError(*problems)
         return np.array(indices, dtype=np.int64)

@@ -107,9 +107,7 @@ class Coordinator:
 
     def ray_part(self, name: str) -> psutil.Process:
         """`raylet` or `gcs_server` of the local Ray."""
-        result = [
-            process for process in self.dispatcher().children(recursive=True) if alive(process) and process.name() == name
-        ]
+        result = [each for each in self.dispatcher().children(recursive=True) if alive(each) and each.name() == name]
         assert result, f"no {name} runs"
         return result[0]
 

@@ -126,9 +126,7 @@ def assert_sound(coordinator: Served, accepted: Accepted) -> None:
             campaign = client.campaign(identifier)
             if campaign.progress.done != campaign.progress.total:
                 wrong.append(f"{name} has done {campaign.progress}")
-            wrong += [
-                f"{name} has runs in {stage} that differ" for stage, cells in campaign.stages.items() if cells.unrepeatable
-            ]
+            wrong += [f"{name} has differing runs in {stage}" for stage, cells in campaign.stages.items() if cells.unrepeatable]
         for key, answers in accepted.evaluations.items():
             if len(set(answers)) > 1:
                 wrong.append(f"key {key} made evaluations {answers}")

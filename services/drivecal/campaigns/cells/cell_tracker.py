@@ -323,7 +323,7 @@ class CellTracker:
         return answers
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
-        self.budget.left += not is_own
+        self.budget.left += not (is_own or (self._view.isolated and outcome is Outcome.SIMULATED))
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)

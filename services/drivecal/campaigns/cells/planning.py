@@ -45,6 +45,8 @@ class View:
     """Number of the campaign."""
     watermark: int
     bench: Bench
+    isolated: bool = False
+    """Runs that others share with it count in its budget, so that its end does not depend on them."""
     influence_map: InfluenceMap | None = None
     influence_map_sequence: int = 0
     """Number of the influence map, if there is one."""

@@ -150,7 +150,8 @@ def stages_of(database: Database, campaign: StoredCampaign, problem: Calibration
         workers: their number at present.
     """
     seed = 0 if problem.optimization is None else problem.optimization.seed
-    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, workers=workers, seed=seed)
+    isolated = problem.specification.reduction.isolated
+    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, isolated, workers=workers, seed=seed)
     rate_stored_runs(database, view)
     view, claims = _with_claims(database, view, problem)
     with database.read() as connection:  # what was known of the map when the campaign was submitted

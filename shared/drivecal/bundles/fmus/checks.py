@@ -45,9 +45,7 @@ def unit_problems(variables: Variables, parameters: Mapping[str, str]) -> Iterat
     for name, unit, variable in _parameters(variables, parameters):
         if unit.strip() not in units.WITHOUT and not any(units.same(spelling, unit) for spelling in variable.spellings):
             remedy = f"give the unit and the values in {shown(variable.unit)}, or convert in the FMU"
-            yield Problem(
-                f"parameters.{name}.unit", f"the FMU takes {name} in {shown(variable.unit)}, not {shown(unit)}", remedy
-            )
+            yield Problem(f"parameters.{name}.unit", f"the FMU has {name} in {shown(variable.unit)}, not {shown(unit)}", remedy)
 
 
 def reduction_of(measure: str) -> tuple[str, str]:

@@ -164,9 +164,7 @@ def test_speeds_change_in_a_time_a_distance_or_at_a_rate() -> None:
         change_of_speed(relative),
         change_of_speed(absolute(10), "linear", "rate", 0),
     )
-    events = [
-        event(f"e{index}", f"<LongitudinalAction>{content}</LongitudinalAction>") for index, content in enumerate(contents)
-    ]
+    events = [event(f"e{n}", f"<LongitudinalAction>{content}</LongitudinalAction>") for n, content in enumerate(contents)]
     result = actions(with_events(*events))
     assert [(action.seconds, action.metres, action.rate) for action in result if isinstance(action, Brake)] == [
         (4.0, None, None), (None, 80.0, None), (None, None, 2.0), (0.0, None, None),
