@@ -210,6 +210,8 @@ class Ranking:
         self._varies = False
         """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
+        self._known: SetStatistics | None = None
+        """Statistics of the sets as of the last assessment; None while no set has several seeds."""
         self._answers: dict[int, Cells] = {}
         """Answers by set and scenario: means over the seeds that choose."""
         self._places: dict[int, tuple[int, int]] = {}
@@ -373,7 +375,7 @@ class Ranking:
         """Adds intervals and probabilities to the solutions, if their runs are random."""
         if self._is_assessed:
             return
-        self._is_assessed, confidence = True, self._wanted.confidence
+        self._is_assessed, self._known, confidence = True, None, self._wanted.confidence
         if not self._samples:
             return
         self._levels = None
@@ -381,6 +383,7 @@ class Ranking:
         if statistics is None:
             return
         numbers, known = statistics
+        self._known = known
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
         for place, number in enumerate(numbers):
@@ -533,16 +536,17 @@ class Ranking:
         and whether runs do not tell that it is (Student's test of the differences). `random`: the simulator says so."""
         from scipy.special import stdtrit
 
-        best, known, solution = self.best(), self.statistics(), self.get(parameter_set)
-        if best is None or known is None or solution is None or best[0].parameter_set == parameter_set:
+        best, solution, known = self.best(), self.get(parameter_set), self._known
+        if best is None or solution is None or best[0].parameter_set == parameter_set:
             return None, False
         one, other = (self._samples.get(number, {}) for number in (best[0].parameter_set, parameter_set))
         gains = [solution.sign * (one[seed] - other[seed]) for seed in one.keys() & other.keys() if seed > self._choosing]
         if len(gains) < 2 or self._level is not None:
-            is_single = random and len(other) < 2 and (known[1].is_random or not known[1].is_known)
+            is_single = random and len(other) < 2 and (known is None or known.is_random or not known.is_known)
             return None, solution.is_close or is_single
-        noise = 0.0 if known[1].noise is None else 2 * known[1].noise ** 2
-        freedom = 0.0 if known[1].noise is None else min(replicates.SHRINKAGE, float(known[1].freedom.max()))
+        noise, freedom = 0.0, 0.0
+        if known is not None and known.noise is not None:
+            noise, freedom = 2 * known.noise**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
         return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
 

@@ -137,7 +137,7 @@ class Evidence:
     chosen: Chosen | None = None
     bounded: Sequence[str] = ()
     has_unknown_noise: bool = False
-    """The simulator is random, and too few sets ran under several seeds."""
+    """The search has ended, its simulator is random, and too few sets ran under several seeds."""
 
 
 def sign_of(campaign: Campaign) -> int:
@@ -182,7 +182,7 @@ def _end(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     """Yields the verdicts on the chosen set, else on the front of several objectives, else on the best set."""
     search, front, chosen = known.search, known.front, known.chosen
-    if known.has_unknown_noise and campaign.best is not None and CampaignState(campaign.state).ended:
+    if known.has_unknown_noise and campaign.best is not None:
         yield verdict("noise_unknown", "amber")
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:

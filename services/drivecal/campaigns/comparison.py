@@ -206,9 +206,7 @@ def compared(connection: Connection, tag: str) -> Comparison:
     stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
     if not stored:
         raise NotFoundError("comparison", tag)
-    courses = [
-        _course(connection, campaign, conditions) for campaign, conditions in zip(stored, _conditions(stored), strict=True)
-    ]
+    courses = [_course(connection, each, conditions) for each, conditions in zip(stored, _conditions(stored), strict=True)]
     sign = next((resolved_spec(campaign).goals.objectives[0].sign for campaign in stored if campaign.resolution is not None), 1)
     best = analysis.best_of((course.optimum for course in courses), sign)
     return Comparison(

@@ -138,7 +138,8 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
 def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None) -> ResultTrust:
     campaign = stored.campaign
     with stored.database.read() as connection:
-        search, is_random = _search(connection, stored), evaluations.are_seeded(connection, campaign.sequence)
+        search = _search(connection, stored)
+        is_random = campaign.state.ended and evaluations.are_seeded(connection, campaign.sequence)
     noise = stored.sets.by_objective()[1] if is_random else []
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
         known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)

@@ -51,9 +51,7 @@ class ScoreFaults:
 
     def note_stored(self, connection: Connection, stored: Sequence[tuple[str, Donor]]) -> None:
         """Takes answers of stored runs, by scenario. Those with the worst score are rated again: only the formula knows what they are."""
-        worst = [
-            (scenario, donor) for scenario, donor in stored if donor.failure is None and donor.score == self._bench.scale.failed
-        ]
+        worst = [(scenario, row) for scenario, row in stored if row.failure is None and row.score == self._bench.scale.failed]
         if self._bench.evaluator is not None or not worst:
             return
         measures = runs.metrics(connection, {donor.run for _, donor in worst})

@@ -138,7 +138,7 @@ def _print_agreement(agreement: Agreement) -> None:
     if agreement.share is None:
         typer.echo("they have no scenario and parameter in common")
     else:
-        typer.echo(f"within an interval, {agreement.agreeing} of {agreement.pairs} pairs agree ({100 * agreement.share:.1f} %)")
+        typer.echo(f"{agreement.agreeing} of {agreement.pairs} pairs agree within an interval ({100 * agreement.share:.1f} %)")
     if agreement.differences:
         typer.echo("")
         header = ["scenario", "parameter", "first", "second"]
