@@ -71,7 +71,7 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     assert {lot.verdict for lot in stored} == {LotVerdict.RELEASED, LotVerdict.REJECTED}
     for scenario, rate in campaign.error_rate.items():
         here = [lot for lot in stored if lot.scenario == scenario]
-        assert rate.lots == len(here)
+        assert (rate.lots, rate.inspected) == (len(here), sum(lot.size for lot in here))
         assert rate.rejected == sum(lot.verdict is LotVerdict.REJECTED for lot in here)
         assert rate.audited == sum(lot.sample for lot in here)
         assert rate.wrong == sum(lot.errors or 0 for lot in here)

@@ -475,11 +475,15 @@ def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
         yield verdict("contradictions", "amber", _only(differing), groups=differing)
-    yield from _lots("reused", [(rate.lots, rate.rejected) for rate in campaign.error_rate.values()])
+    yield from _lots(
+        "reused", [(rate.lots, rate.audited, rate.inspected, rate.rejected) for rate in campaign.error_rate.values()]
+    )
 
 
 def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
-    yield from _lots("predicted", [(each.lots, each.rejected) for each in campaign.released.values()])
+    yield from _lots(
+        "predicted", [(each.lots, each.sampled, each.inspected, each.rejected) for each in campaign.released.values()]
+    )
     for study, row in rows:
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
@@ -494,10 +498,10 @@ def _only(figures: Mapping[str, object]) -> str | None:
     return next(iter(figures)) if len(figures) == 1 else None
 
 
-def _lots(kind: str, counts: Iterable[tuple[int, int]]) -> Iterator[ResultVerdict]:
-    lots, rejected = (sum(column) for column in zip(*counts, strict=True)) if (counts := list(counts)) else (0, 0)
+def _lots(kind: str, counts: Sequence[tuple[int, int, int, int]]) -> Iterator[ResultVerdict]:
+    lots, sampled, inspected, rejected = map(sum, zip(*counts, strict=True)) if counts else (0, 0, 0, 0)
     if lots:
-        yield verdict("lots", "green", kind=kind, lots=lots, rejected=rejected)
+        yield verdict("lots", "green", kind=kind, lots=lots, sampled=sampled, inspected=inspected, rejected=rejected)
 
 
 def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:

@@ -48,8 +48,8 @@ SCORES = CONFIRMED | {
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
     "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong, and no lots were inspected.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
-    "lots": "A sample of each of {lots:,} lots of {kind} answers was simulated: {rejected:,} had too many errors, and all their cells were "
-    "simulated.",
+    "lots": "Of {inspected:,} cells that could be {kind}, in {lots:,} lots, {sampled:,} were simulated as samples; {rejected:,} lots had "
+    "too many errors, and all their cells were simulated.",
     "predictions_validated": "{share:.1 %} of the simulated predictions in {scenario} are wrong (validation {study:id}); up to "
     "{allowed:.1 %} of the {released:,} released ones may be: {limit:.1 %} of the {inspected:,} in lots.",
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",

@@ -406,8 +406,8 @@ def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:
         ),
         (
             "lots",
-            {"kind": "reused", "lots": 1200, "rejected": 1},
-            "A sample of each of 1,200 lots of reused answers was simulated: 1 had",
+            {"kind": "reused", "lots": 1200, "inspected": 9000, "sampled": 1800, "rejected": 1},
+            "Of 9,000 cells that could be reused, in 1,200 lots, 1,800 were",
         ),
         (
             "beside_baseline",

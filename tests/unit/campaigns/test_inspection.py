@@ -10,7 +10,7 @@ from sqlalchemy import Connection
 from tests.support.databases import migrated
 from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 
-from drivecal.campaigns.cells.inspection import Inspection, check_reuse
+from drivecal.campaigns.cells.inspection import Inspection, check_reuse, notes_on_lots
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.scales import COMFORT
@@ -90,3 +90,9 @@ def test_predictions_of_a_released_lot_answer_its_cells(connection: Connection, 
 def test_reuse_without_an_influence_map_is_not_checked() -> None:
     view: Any = SimpleNamespace(influence_map=None)
     assert check_reuse(NOTHING, view, 3, ["S1", "S2"], {}) == {"S1": ErrorRate(), "S2": ErrorRate()}
+
+
+@pytest.mark.parametrize(("audited", "rejected", "notes"), [(50, 0, 0), (51, 0, 1), (51, 1, 2), (20, 1, 1), (100, 0, 1)])
+def test_lots_that_save_little_are_noted(audited: int, rejected: int, notes: int) -> None:
+    rates = {"S1": ErrorRate(audited=audited, lots=9, inspected=100, rejected=rejected), "S2": ErrorRate(audited=3)}
+    assert len(notes_on_lots(rates)) == notes

@@ -70,11 +70,14 @@ def test_a_budget_that_suffices_for_no_set_is_noted(cells: int, notes: int) -> N
 
 
 def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
-    def notes(cells: int, kind: str = "genetic", **changes: Any) -> int:
-        return len(_resolve(sensitivity={}, optimizer={"kind": kind}, budget={"simulations": cells}, **changes).notes)
+    def notes(cells: int, kind: str = "genetic", population: int = 200, **changes: Any) -> int:
+        optimizer = {"kind": kind} | ({"population": population} if kind == "genetic" else {})
+        return len(_resolve(sensitivity={}, optimizer=optimizer, budget={"simulations": cells}, **changes).notes)
 
     cost = _resolve(sensitivity={}, optimizer=None).expected_runs().sensitivity
-    assert (notes(4 * cost - 4), notes(4 * cost)) == (1, 0)
+    assert (notes(5 * cost), notes(6 * cost)) == (1, 0), "a quarter of 200, less the samples of lots of 50"
+    assert notes(40 * cost, population=40) == 1, "a lot of ten cells is simulated nearly whole"
+    assert notes(4 * cost, population=40, reduction={"max_error": 1}) == 0
     assert notes(100, reduction={"mode": "predicted"}) == 0, "this mode uses no map"
     assert notes(8 * cost, "surrogate") == 2, "the map answers no cell, so that its analysis saves none"
     assert notes(8 * cost, "surrogate", reduction={"max_error": 1}) == 0

@@ -5,7 +5,7 @@ The rows are authoritative. A sample is drawn after the lot is committed, by the
 nor verdict.
 """
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -200,8 +200,10 @@ def check_reuse(
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
     contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
     concluded = [lot for lot in lots.of_campaign(connection, campaign, Outcome.REUSED) if lot.verdict is not None]
-    rejected = Counter(lot.scenario for lot in concluded if lot.verdict is LotVerdict.REJECTED)
-    inspected = {name: (count, rejected[name]) for name, count in Counter(lot.scenario for lot in concluded).items()}
+    inspected: dict[str, tuple[int, int, int]] = {}
+    for lot in concluded:
+        number, cells, rejected = inspected.get(lot.scenario, (0, 0, 0))
+        inspected[lot.scenario] = number + 1, cells + lot.size, rejected + (lot.verdict is LotVerdict.REJECTED)
     counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign, concluded)
     rates = error_rates(counts, scenarios, contradictions, inspected, bounds)
     for scenario, rate in rates.items():
@@ -220,9 +222,13 @@ def _most_wrong(connection: Connection, campaign: int, concluded: Iterable[Store
     return {name: min(1.0, most_released(plans[name]) / count) for name, count in released.items()}
 
 
-def rejected_text(rates: Mapping[str, ErrorRate]) -> str | None:
-    """Returns a note on the scenarios with rejected lots of references; None without any."""
+def notes_on_lots(rates: Mapping[str, ErrorRate]) -> list[str]:
+    """Returns notes on scenarios with rejected lots of references, and on lots so small that their samples are most of them."""
     rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
-    if not rejected:
-        return None
-    return f"lots of reused answers had too many wrong samples, so every cell of them was simulated: {', '.join(rejected)}"
+    why = "lots of reused answers had too many wrong samples, so every cell of them was simulated"
+    audited, inspected = (sum(getattr(rate, name) for rate in rates.values() if rate.lots) for name in ("audited", "inspected"))
+    small = (
+        f"{audited:,} of {inspected:,} cells that the influence map could answer were simulated as samples of their lots, which are too"
+        " small to save more: larger populations or a larger `max_error` (docs: reuse) leave more to copy"
+    )
+    return ([f"{why}: {', '.join(rejected)}"] if rejected else []) + ([small] if 2 * audited > inspected > 0 else [])

@@ -43,6 +43,7 @@ from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.assignment import LIKELY
+from drivecal.reduction.lots import smallest_plan
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 
 
@@ -96,9 +97,18 @@ class CalibrationProblem:
         """Returns notes if the influence map answers no cell of a search by the cell, and if its analysis does not pay to the end of it."""
         if self.optimization is None or not self.specification.reduction.uses_map:
             return ()
-        runs = self.expected_runs()
+        runs, limit, notes = self.expected_runs(), self.specification.reduction.max_error, []
         saved = round(LIKELY * runs.calibration_at_most) if self.policy.uses_map else 0
-        notes = []
+        if saved and limit < 1.0:
+            plan = smallest_plan(max(1, round(LIKELY * self.optimization.population)), limit, 0)
+            saved = round(saved * (plan.size - plan.sample) / plan.size)
+            if 2 * plan.sample > plan.size:
+                words = (
+                    f"lots of {plan.size} cells or so, of which {plan.sample} are simulated as samples (`max_error` {limit:g})"
+                )
+                notes.append(
+                    f"the influence map will save little: {words}; larger populations or a larger `max_error` save more"
+                )
         if not self.policy.uses_map:
             why = "checks in lots would simulate each cell that this search asks for"
             why = "runs of a random simulator answer equal sets under equal seeds only" if self.bench.is_random else why

@@ -13,7 +13,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.confirmation import Confirming, front_outcome
 from drivecal.analysis.verdicts import confirmation_verdict
-from drivecal.campaigns.cells.inspection import check_reuse, rejected_text
+from drivecal.campaigns.cells.inspection import check_reuse, notes_on_lots
 from drivecal.campaigns.cells.planning import View, sync_reference_keys
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -251,9 +251,7 @@ class SearchStage(Stage):
 
     def _snapshot(self, connection: Connection) -> StoredCampaign:
         counts = CellCounts(**self._tracker.counts)
-        notes = list(self._problem.notes)
-        if (rejected := rejected_text(self._error_rate)) is not None:
-            notes.append(rejected)
+        notes = [*self._problem.notes, *notes_on_lots(self._error_rate)]
         if counts.unrepeatable:
             advice = note_predictions(self._problem.specification, self._problem.bench.scale)  # holds for equal runs
             notes = [note for note in notes if note not in advice]
