@@ -77,6 +77,8 @@ def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(ap
         client.import_results([row()], **HEAD)
         with pytest.raises(ConflictError):
             client.import_results([row("spring"), row(scores={"cost": 31.0})], **HEAD)
+        with pytest.raises(ConflictError):
+            client.import_results([row("spring"), row("spring"), row("spring", scores={"cost": 31.0})], **HEAD)
         assert len(client.imported("heater")) == 1
         assert client.import_results([row(scores={"cost": 31.0})], **HEAD | {"date": "2026-11-21"}) == 1
         assert client.delete_imported("heater", "house 7") == 2

@@ -105,6 +105,7 @@ def test_what_is_not_marked_is_posted_again(database: Database) -> None:
 
 
 def test_a_refusing_listener_holds_nothing_up_and_stays_secret(database: Database, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     with listening(*[500] * 2) as (url, posted):
         hook = Webhook(database, url, pauses=(0.0,))
         hook.post()

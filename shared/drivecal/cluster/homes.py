@@ -29,7 +29,9 @@ def remember(paths: Iterable[Path]) -> None:
 def remembered() -> list[Path]:
     """Returns the paths of the list that exist."""
     try:
-        lines = _file().read_text().splitlines()
+        with _file().open() as listed:
+            fcntl.flock(listed, fcntl.LOCK_SH)  # `remember` empties the file for a moment
+            lines = listed.read().splitlines()
     except (OSError, RuntimeError):
         return []
     return [Path(line) for line in lines if Path(line).exists()]

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import pytest
 
@@ -68,6 +68,16 @@ def test_a_folder_has_the_files_behind_its_links(tmp_path: Path) -> None:
         digests.append(digest_of_path(maps))
     (elsewhere / "road").write_text("changed")
     assert len({*digests, digest_of_path(maps)}) == 5
+
+
+def test_a_folder_that_cannot_be_listed_has_no_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(folder: str) -> NoReturn:
+        raise PermissionError(folder)
+
+    (tmp_path / "maps").mkdir()
+    monkeypatch.setattr("os.scandir", refuse)
+    with pytest.raises(PermissionError):
+        digest_of_path(tmp_path / "maps")
 
 
 @pytest.mark.slow

@@ -8,15 +8,13 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
-from drivecal.bundles import units
 from drivecal.bundles.fmus.checks import output_problems, reduction_of, unit_problems, wanted_by
-from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuVariable, Variables, number
-from drivecal.domain.errors import Problem, UnavailableError
+from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, Variables, parse_description
+from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
@@ -51,6 +49,10 @@ class Fmu:
             fmpy.extract(str(file), unzipdir=str(partly))
             partly.rename(unpacked)
         self.variables = {variable.name: variable for variable in self.model.modelVariables}
+        try:
+            self.described: Variables = parse_description((unpacked / "modelDescription.xml").read_bytes()) or {}
+        except InvalidInputError as error:
+            raise UnusableError(str(error)) from error
         self._slave = self._instantiated(unpacked)
         self._is_fresh = True
 
@@ -104,14 +106,6 @@ class Fmu:
                 similar = get_close_matches(name, self.variables, 3) or sorted(self.variables)[:5]
                 raise UnusableError(f"the FMU has no variable {name}, a {role}; it has e.g. {', '.join(similar)}")
 
-    @cached_property
-    def described(self) -> Variables:
-        """The variables as the checks of bundles know them."""
-        powers = ("kg", "m", "s", "A", "K", "mol", "cd", "rad", "factor", "offset")
-        units = [unit for unit in self.model.unitDefinitions if unit.baseUnit is not None]
-        bases = {unit.name: {name: getattr(unit.baseUnit, name) for name in powers} for unit in units}
-        return {name: _described_variable(variable, bases) for name, variable in self.variables.items()}
-
     def _access(self, name: str) -> str:
         kind = self.variables[name].type
         if self.variables[name].dimensions:
@@ -154,22 +148,6 @@ class Fmu:
         )
         slave.instantiate()
         return slave
-
-
-def _described_variable(variable: Any, bases: Mapping[str, Mapping[str, float]]) -> FmuVariable:
-    """Returns FMPy's variable as the checks of bundles know it. `bases`: base units of the units that the FMU defines."""
-    declared = variable.declaredType
-    unit = variable.unit or (None if declared is None else declared.unit) or "1"
-    return FmuVariable(
-        variable.name,
-        variable.causality or "local",
-        start=number(variable.start),
-        unit=unit,
-        kind=variable.type,
-        items=() if declared is None else tuple(item.name for item in declared.items),
-        spellings=units.spellings(unit, bases.get(unit)),
-        is_array=bool(variable.dimensions),
-    )
 
 
 def refuse_first(problems: Iterable[Problem]) -> None:

@@ -32,7 +32,11 @@ def digest_of_path(path: Path) -> str:
                 content.update(part)
         return content.hexdigest()
     known: dict[str, str] = {}
-    for folder, below, files in os.walk(path, followlinks=True):
+
+    def refuse(error: OSError) -> None:
+        raise error
+
+    for folder, below, files in os.walk(path, onerror=refuse, followlinks=True):
         below.sort()
         name = os.path.relpath(folder, path)
         first = known.setdefault(os.path.realpath(folder), name)

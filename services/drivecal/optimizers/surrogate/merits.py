@@ -37,7 +37,10 @@ class Standing:
         points = kept if len(kept) else self.objectives
         if not len(points):
             return np.zeros(points.shape[1]), np.zeros(points.shape[1])
-        best, as_good = points.max(axis=0), points[:, np.newaxis] >= points
+        best = points.max(axis=0)
+        if len(best) == 1:
+            return best, points.min(axis=0)
+        as_good = points[:, np.newaxis] >= points
         dominated = (as_good.all(axis=2) & ~as_good.transpose(1, 0, 2).all(axis=2)).any(axis=0)
         worst = points[~dominated].min(axis=0)
         return best, np.where(worst < best, worst, points.min(axis=0))

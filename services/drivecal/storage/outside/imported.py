@@ -39,11 +39,18 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
     """
     table = imported_results.c
     ids = sets.ensure(connection, [each.parameters for each in given])
-    places = {(number, each.scenario): each for number, each in zip(ids, given, strict=True)}
+    places: dict[tuple[int, str], ImportedValues] = {}
+    for number, each in zip(ids, given, strict=True):
+        if places.setdefault((number, each.scenario), each) != each:
+            raise ConflictError(
+                f"{each.source} has two results of {each.date} for one set in {each.scenario}; keep one, or their mean"
+            )
     own = select(imported_results).where(table.problem == problem, table.source == given[0].source, table.date == given[0].date)
     for row in rows_among(connection, own, table.parameter_set_id, sorted(set(ids))):
-        each = places.pop((row.parameter_set_id, row.scenario), None)
-        if each is not None and (row.scores, row.measures, row.form) != (dict(each.scores), dict(each.measures), each.form):
+        if (row.parameter_set_id, row.scenario) not in places:
+            continue
+        each = places.pop((row.parameter_set_id, row.scenario))
+        if (row.scores, row.measures, row.form) != (dict(each.scores), dict(each.measures), each.form):
             raise ConflictError(
                 f"{row.source} has other values of {row.date} for this set in {row.scenario}, or of other curves; delete them first"
             )

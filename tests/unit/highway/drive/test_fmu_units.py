@@ -10,6 +10,7 @@ import pytest
 
 from drivecal.adapters.driver import UnusableError
 from drivecal.adapters.fmu_driver import Fmu
+from drivecal.bundles.fmus.description import parse_description
 from drivecal.highway.drive import controllers
 from drivecal.highway.drive.controllers import LoadedFmuController
 
@@ -37,6 +38,7 @@ class Described(Fmu):
         del unpacked
         self.model = fmpy.read_model_description(str(file), validate=False)
         self.variables = {variable.name: variable for variable in self.model.modelVariables}
+        self.described = parse_description(file.read_bytes()) or {}
         self.is_third = self.model.fmiVersion.startswith("3")
         self._slave = SimpleNamespace(getReal=None, setReal=None, getFloat64=None, setFloat64=None)
 

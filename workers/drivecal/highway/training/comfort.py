@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from sklearn.linear_model import RidgeCV
@@ -30,30 +30,6 @@ GOLDEN = 0.5 * (np.sqrt(5.0) + 1.0)
 RATERS = 15
 STRICTNESS, FRIENDLINESS, INCONSISTENCY = 0.1, 0.4, 0.6
 BEST = 7.0
-
-
-@dataclass(frozen=True, slots=True)
-class Panel:
-    """A simulated panel that applies the reference scale with individual tastes. No human rated any manoeuvre.
-
-    Rater i gives round(clip(7 - g_i (7 - r) + b_i + e)), with the reference rating r, `strictness` g_i ~ N(1, 0.1), `friendliness`
-    b_i ~ N(0, 0.4), shape (n,), and inconsistency e ~ N(0, 0.6), which varies between ratings. The panel's rating is the mean of all
-    raters, its score the rounded mean.
-    """
-
-    strictness: Floats
-    friendliness: Floats
-
-    @classmethod
-    def of(cls, seed: int) -> Panel:
-        """Draws a panel of `RATERS` raters."""
-        rng = np.random.default_rng(seed)
-        return cls(rng.normal(1.0, STRICTNESS, RATERS), rng.normal(0.0, FRIENDLINESS, RATERS))
-
-    def rate(self, reference: float, rng: np.random.Generator) -> float:
-        """Returns the panel's rating of a manoeuvre with this reference rating."""
-        ratings = BEST - (BEST - reference) * self.strictness + self.friendliness + rng.normal(0.0, INCONSISTENCY, RATERS)
-        return float(np.floor(np.clip(ratings, 0.0, BEST) + 0.5).mean())
 
 
 def is_held_out(group: str) -> bool:
@@ -126,34 +102,37 @@ def fit(drives: Sequence[RatedDrive], targets: Floats, seed: int) -> Regression:
     return replace(untrained, weights=weights, intercept=intercept)
 
 
-@dataclass(frozen=True, slots=True)
-class PanelAgreement:
-    """Agreement with the panel's ratings.
+def agreement_with(panel: Floats, ratings: Floats) -> tuple[float, float, float, float]:
+    """Compares ratings in 0..7 with the panel's, each of shape (n,).
 
-    Shares of equal scores and of scores at most 1 apart, quadratic weighted kappa, r.m.s. error of the rating.
+    Returns the shares of equal scores and of scores at most 1 apart, the quadratic weighted kappa, the r.m.s. error of the rating.
     """
-
-    count: int
-    equal: float
-    within_one: float
-    kappa: float
-    error: float
-
-    @classmethod
-    def of(cls, ratings: Floats, panel: Floats) -> PanelAgreement:
-        """Compares ratings in 0..7, each of shape (n,)."""
-        ours, theirs = np.floor(ratings + 0.5).astype(int), np.floor(panel + 0.5).astype(int)
-        distance = np.abs(ours - theirs)
-        kappa = cohen_kappa_score(ours, theirs, weights="quadratic", labels=list(range(8)))
-        error = float(np.sqrt(((ratings - panel) ** 2).mean()))
-        return cls(len(ours), float((distance == 0).mean()), float((distance <= 1).mean()), float(kappa), error)
+    ours, theirs = np.floor(ratings + 0.5).astype(int), np.floor(panel + 0.5).astype(int)
+    distance = np.abs(ours - theirs)
+    kappa = cohen_kappa_score(ours, theirs, weights="quadratic", labels=list(range(8)))
+    return (
+        float((distance == 0).mean()),
+        float((distance <= 1).mean()),
+        float(kappa),
+        float(np.sqrt(((ratings - panel) ** 2).mean())),
+    )
 
 
 def rated_by_panel(drives: Sequence[RatedDrive]) -> Floats:
-    """Returns the simulated panel's ratings, shape (n,); equal drives get equal ratings."""
-    panel = Panel.of(SEED)
-    generators = (np.random.default_rng([SEED, zlib.crc32(drive.name.encode())]) for drive in drives)
-    return np.array([panel.rate(drive.rating, rng) for drive, rng in zip(drives, generators, strict=True)])
+    """Returns the ratings of a simulated panel with individual tastes, shape (n,); equal drives get equal ones. No human rated any.
+
+    Rater i gives round(clip(7 - g_i (7 - r) + b_i + e)), with the reference rating r, strictness g_i ~ N(1, 0.1), friendliness
+    b_i ~ N(0, 0.4), and inconsistency e ~ N(0, 0.6), which varies between ratings. The panel's rating is the mean of all raters, its score
+    the rounded mean.
+    """
+    drawn = np.random.default_rng(SEED)
+    strictness, friendliness = drawn.normal(1.0, STRICTNESS, RATERS), drawn.normal(0.0, FRIENDLINESS, RATERS)
+    rated = list[float]()
+    for drive in drives:
+        rng = np.random.default_rng([SEED, zlib.crc32(drive.name.encode())])
+        each = BEST - (BEST - drive.rating) * strictness + friendliness + rng.normal(0.0, INCONSISTENCY, RATERS)
+        rated.append(float(np.floor(np.clip(each, 0.0, BEST) + 0.5).mean()))
+    return np.array(rated)
 
 
 AGREEMENT, CALIBRATION = "agreement on held-out manoeuvres", "calibration"
@@ -180,9 +159,8 @@ def agreement_table(ours: Floats, drives: Sequence[RatedDrive]) -> str:
             (f"{manoeuvre.value}, built-in scenarios only", in_class & simulated, ours),
             (f"{manoeuvre.value}, the reference scale itself", in_class, reference),
         ):
-            agreement = PanelAgreement.of(rated[selected], panel[selected])
-            shares = (agreement.equal, agreement.within_one, agreement.kappa, agreement.error)
-            rows.append([label, str(agreement.count), *(f"{share:.2f}" for share in shares)])
+            shares = agreement_with(panel[selected], rated[selected])
+            rows.append([label, str(int(selected.sum())), *(f"{share:.2f}" for share in shares)])
     return table(
         ["class", "manoeuvres", "equal score", "within one", "quadratic weighted kappa", "r.m.s. error of the rating"], rows
     )

@@ -50,7 +50,7 @@ export function explained(texts: readonly string[]): Piece[][] {
     const pieces: Piece[] = [];
     let from = 0;
     for (const { 0: found, index } of text.matchAll(WRITTEN)) {
-      const word = found.toLowerCase().replace(/^(audit|lot|reference|influence map)(s|ed)$/, "$1").replace(" ", "-");
+      const word = found.toLowerCase().replace(/^(audit|lot|reference|influence map|knee)(s|ed)$/, "$1").replace(" ", "-");
       if (found.startsWith("`") || known.has(word)) continue;
       known.add(word);
       pieces.push({ text: text.slice(from, index) }, { text: found, word: word as Word });
