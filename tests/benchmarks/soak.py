@@ -229,12 +229,10 @@ def verdicts(course: Course, seconds: float) -> list[dict[str, float | str]]:
         later = [(moment, value) for moment, value in points if moment >= SETTLING * seconds]
         if len(later) < 2:
             continue
-        middle, slope = median(value for _, value in later), theil_sen(later)
+        usual, slope = median(value for _, value in later), theil_sen(later)
         grown = slope * (1 - SETTLING) * seconds
-        flat = grown <= max(SHARE * middle, FLOORS[unit])
-        rows.append(
-            {"of": of, "unit": unit, "median": middle, "per_hour": 3600 * slope, "verdict": "flat" if flat else "grows"}
-        )
+        flat = grown <= max(SHARE * usual, FLOORS[unit])
+        rows.append({"of": of, "unit": unit, "median": usual, "per_hour": 3600 * slope, "verdict": "flat" if flat else "grows"})
     return rows
 
 

@@ -66,9 +66,7 @@ def test_a_small_campaign_outlives_its_processes_and_its_database(
 
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
-def test_a_small_campaign_on_sqlite_outlives_what_carries_it(
-    server_on: MakeServer, small_without_faults: dict[str, Found]
-) -> None:
+def test_a_small_campaign_on_sqlite_outlives_its_server(server_on: MakeServer, small_without_faults: dict[str, Found]) -> None:
     plan: list[tuple[Moment, Fault]] = [
         (Moment(0.1, 0.0), and_ready_again(kill_api)),  # noticed before the supervisor's own end
         (Moment(0.3, 0.1), and_ready_again(kill_dispatcher)),

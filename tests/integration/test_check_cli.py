@@ -257,10 +257,8 @@ def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> Non
     checked = checking(file, "--problem", "heater", "--names", checking.file("names.yaml", "tank: ACC_tank"))
     assert (checked.exit_code, seen) == (0, [[4.0, 2.5, 7.0]] * 2), checked.output
     assert "parameters.tank" in checking(file, "--problem", "heater").output
-    scaled = checking.file(
-        "scaled.dcm", Path(file).read_text().replace("FESTWERT gain\n", 'FESTWERT gain\n EINHEIT_W "1/min"\n')
-    )
-    assert "parameters.gain" in checking(scaled, "--problem", "heater").output
+    other = checking.file("other.dcm", Path(file).read_text().replace("FESTWERT gain\n", 'FESTWERT gain\n EINHEIT_W "1/min"\n'))
+    assert "parameters.gain" in checking(other, "--problem", "heater").output
     others = checking.file("four.json", MANIFEST["baseline"] | {f"tank_{number}": 1 for number in (1, 2, 3, 4)})
     assert "parameters.tank" in checking(others, "--problem", "heater").output  # of four points or coefficients
     parameters["tank"] = tank | {"curve": {"axis": [0, 6, 9]}}  # values of other points are no values of these

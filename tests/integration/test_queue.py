@@ -227,9 +227,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
             submitted.append(campaigns.insert(connection, name="test", spec=specification, priority=priority))
     with database.transaction() as connection:
         connection.execute(
-            text(
-                "UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE priority = 0 AND id <> :a AND id <> :b"
-            ),
+            text("UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE priority = 0 AND id NOT IN (:a, :b)"),
             {"a": submitted[0].id, "b": submitted[1].id},
         )
     working = dispatcher(database, Silent(), running_campaigns=2)

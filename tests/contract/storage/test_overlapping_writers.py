@@ -96,9 +96,7 @@ def first(postgres: Database) -> StoredCampaign:
 
 
 @USES
-def test_submissions_wait_for_deletions(
-    postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use
-) -> None:
+def test_submissions_wait_for_deletion(postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use) -> None:
     with postgres.transaction() as connection:
         deletion.delete_campaign(connection, first.id)
         submitted = beside.submit(use, postgres, first)

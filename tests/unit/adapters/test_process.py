@@ -83,9 +83,7 @@ def test_a_process_is_busy_for_a_run_or_at_its_start_with_its_reason(tmp_path: P
 
 
 def test_a_hang_costs_its_run_only(tmp_path: Path) -> None:
-    with served(
-        tmp_path, "if x == 1.0:\n    sys.stderr.write('stuck')\n    sys.stderr.flush()\n    time.sleep(600)"
-    ) as session:
+    with served(tmp_path, "if x == 1:\n    sys.stderr.write('stuck')\n    sys.stderr.flush()\n    time.sleep(600)") as session:
         session.evaluate({"x": 0.0})
         shown = hung(session, {"x": 1.0}, 2.0)
         assert all(part in shown for part in ("after 2 s", "simulator.timeout", "problem.yaml", "its last messages: stuck"))

@@ -30,12 +30,8 @@ def document(inside: str, head: str = "", category: str = "CDF20") -> bytes:
 
 
 def instance(name: str, value: str, category: str = "VALUE", around: str = "{}") -> str:
-    container = (
-        f"<SW-VALUE-CONT><UNIT-DISPLAY-NAME>°</UNIT-DISPLAY-NAME><SW-VALUES-PHYS>{value}</SW-VALUES-PHYS></SW-VALUE-CONT>"
-    )
-    return (
-        f"<SW-INSTANCE><SHORT-NAME>{name}</SHORT-NAME><CATEGORY>{category}</CATEGORY>{around.format(container)}</SW-INSTANCE>"
-    )
+    held = f"<SW-VALUE-CONT><UNIT-DISPLAY-NAME>°</UNIT-DISPLAY-NAME><SW-VALUES-PHYS>{value}</SW-VALUES-PHYS></SW-VALUE-CONT>"
+    return f"<SW-INSTANCE><SHORT-NAME>{name}</SHORT-NAME><CATEGORY>{category}</CATEGORY>{around.format(held)}</SW-INSTANCE>"
 
 
 VARIANT = "<SW-INSTANCE-PROPS-VARIANT>{}</SW-INSTANCE-PROPS-VARIANT>"

@@ -53,13 +53,11 @@ def test_another_choice_blocks_unless_it_does_not_matter_and_is_a_whole_range_aw
     stored = billionths_matrix([made("sport"), made("eco", "0.75"), made("tow")])
     for influence, blocked in ((MATTERS, [True, False, True]), (FREE, [False, False, True])):
         influence_map = InfluenceMap({"S1": {"mode": influence}}, {}, {"mode": frozenset({"eco", "sport"})})
-        comparison = CellComparison(
-            influence_map, "S1", ("mode", "P"), np.array(made("eco").codes), np.array([3 * 10**9, 10**9])
-        )
-        blocking = comparison.blocking(stored)
+        beside = CellComparison(influence_map, "S1", ("mode", "P"), np.array(made("eco").codes), np.array([3 * 10**9, 10**9]))
+        blocking = beside.blocking(stored)
         assert blocking[:, 0].tolist() == blocked
-        assert comparison.distances(stored, np.ones_like(blocking)).tolist() == [1.0, 0.25, 1.0]
-        (difference,) = comparison.differences(made("eco"), made("tow"))
+        assert beside.distances(stored, np.ones_like(blocking)).tolist() == [1.0, 0.25, 1.0]
+        (difference,) = beside.differences(made("eco"), made("tow"))
         assert (difference.parameter, difference.reference_region) == ("mode", "outside")
 
 
