@@ -88,6 +88,7 @@ def account(
         BalanceItem(name="predictor", label="predictor", seconds=-sum(row.predictor_seconds for row in rows)),
         BalanceItem(name="dispatcher", label="dispatcher", seconds=-dispatcher),
     ]
+    requested = sum(row.requested for row in rows)
     accounting = Accounting(
         clock="wall" if waits else "cpu",
         cpu_seconds=cpu_seconds,
@@ -98,15 +99,11 @@ def account(
         runs=runs_for or {},
         saved_seconds=sum(savings.values()),
         net_seconds=sum(item.seconds for item in balance),
-        break_even=None if used is None else break_even(used.seconds, savings[Outcome.REUSED], _requested(rows)),
+        break_even=break_even(used.seconds, savings[Outcome.REUSED], requested) if used is not None and requested else None,
         balance=[item for item in balance if item.seconds],
         sentence="",
     )
     return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting, lost)})
-
-
-def _requested(scenarios: Iterable[ScenarioAccount]) -> int:
-    return sum(row.requested for row in scenarios)
 
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
@@ -200,9 +197,11 @@ def _remarks(accounting: Accounting, lost: int) -> list[str]:
 
 
 def _sentence(accounting: Accounting) -> str:
-    requested = _requested(accounting.scenarios)
+    requested, analysis = sum(row.requested for row in accounting.scenarios), accounting.sensitivity
     if not requested:
-        return f"No cell of the calibration stage has its answer yet; the sensitivity stage took {accounting.sensitivity.seconds:,.1f} s."
+        return (
+            f"No cell of a search has an answer.{f' The analysis took {analysis.seconds:,.1f} s.' * (analysis.requested > 0)}"
+        )
     answered = sum(getattr(row, outcome) for row in accounting.scenarios for outcome in SAVING)
     share = f"{100 * answered / requested:.1f} % of {requested:,} requested cells were answered without a simulation"
     clock = "CPU time" if accounting.clock == "cpu" else "the workers' time"

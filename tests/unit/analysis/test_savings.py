@@ -122,9 +122,8 @@ def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
 
 
 def test_a_campaign_without_answers_saves_nothing_yet() -> None:
-    result = account("c", ["S1"], ANALYSIS, None)
-    assert result.scenarios[0].mean_seconds is None
-    assert result.net_seconds == -10.0
+    result = account("c", ["S1"], ANALYSIS, MapOrigin("m", "c", ANALYSIS))
+    assert (result.scenarios[0].mean_seconds, result.break_even, result.net_seconds) == (None, None, -10.0)
 
 
 def test_a_map_that_saves_nothing_never_pays() -> None:
