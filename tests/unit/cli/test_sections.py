@@ -24,7 +24,7 @@ def rows_of(blocks: Any) -> list[list[str]]:
 
 
 def test_verdicts_are_listed_below_the_answers_to_their_questions() -> None:
-    given = [verdict("failed", "red", error="no memory"), verdict("no_gain", "amber")]
+    given = [verdict("failed", "red", error="no memory"), verdict("not_better", "amber")]
     scores, failed, baseline, no_gain = sections.trust_blocks(ResultTrust(answers=answers(given, ended=True), verdicts=given))
     assert [scores, baseline] == ["Does the result hold? No.", "Is it better than the baseline? Not clearly."]
     assert [failed, no_gain] == [f"  {each.light}: {each.text}" for each in given]
