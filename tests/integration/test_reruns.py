@@ -12,10 +12,13 @@ from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.values import numbers, present
 
 from drivecal.api import submission
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
@@ -142,3 +145,24 @@ def test_a_rerun_with_equal_weights_simulates_nothing(database: Database, limit:
     assert first.cells.reused > 0
     assert (again.cells.runs, again.cells.simulated, again.counts(StageName.SENSITIVITY).runs) == (0, 0, 0)
     assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)
+
+
+@pytest.mark.parametrize(
+    ("changes", "score"),
+    [({"weights": {"S1": 1, "S2": 9}}, "objective"), ({"evaluator": "strict"}, None)],
+    ids=["weights", "score"],
+)
+def test_a_rerun_of_populations_begins_with_the_best_stored_set(
+    database: Database, strict: None, changes: dict[str, Any], score: str | None
+) -> None:
+    del strict
+    first = _run(database, weights={"S1": 9, "S2": 1}, optimizer={"kind": "random", "population": 40, "iterations": 1})
+    again = submission.rerun(database, LIMITS, first.id, RerunSpecification.model_validate({"weights": {}} | changes), None)
+    begun = again.spec["optimizer"]["start_sets"]
+    if score is None:
+        assert begun == [], "an evaluator's score ranks nothing before the rerun"
+        return
+    ranked = solution_pages(StoredRanking(database, first, resolved_spec(first)), "S1=1,S2=9")
+    assert begun == [row.parameters for row in ranked.solutions(0, 1)]
+    once_more = submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={"S1": 90, "S2": 10}), None)
+    assert once_more.spec["optimizer"]["start_sets"] == [], "weights that say the same change nothing"

@@ -1,30 +1,39 @@
 """Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
+from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.dependencies import Limits
 from drivecal.api.expectation import checked, checked_comparison, compared_map, refuse_without, stored_parts
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.comparison import keys_of, tag_of
 from drivecal.campaigns.resolve.maps import is_outdated, warnings_of
 from drivecal.campaigns.resolve.optimizer import BEGINNINGS
 from drivecal.campaigns.resolve.problem import CalibrationProblem, EvaluationProblem, resolve_evaluation
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.resolve.spaces import given_set
 from drivecal.campaigns.resolve.workbench import moved, stored_bundles
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
-from drivecal.domain.errors import ConflictError, InvalidInputError, Problem
+from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
-from drivecal.storage.references import influence_maps
+from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
+
+TRIED = 1_000
+"""Best sets of a campaign among which one is looked for that its rerun's ranges and constraints allow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +102,37 @@ def rerun(
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
+    if (best := _best_before(database, first, problem)) is not None:
+        document["optimizer"] = {**document["optimizer"], "start_sets": [*document["optimizer"].get("start_sets", []), best]}
+        problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     with database.transaction() as connection:
         return _queue(connection, limits, problem, asked, rerun_of=first.id)
+
+
+def _best_before(database: Database, first: StoredCampaign, problem: CalibrationProblem) -> dict[str, Any] | None:
+    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets, has no room for it,
+    ranks sets as the first one did, or can rank none before it begins. Weights that moved must not lead to a worse set than is stored."""
+    chosen, theirs, wanted = problem.optimization, resolved_spec(first), problem.specification
+    is_scored, asked = (
+        theirs.evaluator == problem.bench.evaluator_id,
+        replace(theirs, weights=problem.weights, goals=problem.goals),
+    )
+    is_same = is_scored and asked == theirs and first.spec["problem"] == wanted.problem
+    if chosen is None or len(problem.start_sets) >= chosen.population or is_same:
+        return None
+    ranked: Sequence[EvaluatedSet] = ()
+    if is_scored:
+        ranked = StoredRanking(database, first, asked).sets.best_first()
+    else:
+        weights = ",".join(f"{name}={weight!r}" for name, weight in problem.weights.items())
+        with suppress(InvalidInputError):  # a learned score ranks nothing before the rerun
+            score = f"{wanted.evaluator}@{wanted.problem}"
+            ranked = solution_pages(StoredRanking(database, first, theirs), weights, score).ranked
+    with database.read() as connection:
+        sets = parameter_sets.load(connection, [each.parameter_set for each in ranked[:TRIED]])
+    shapes, space = problem.bench.bundle.manifest.shapes, problem.constraints
+    fits = (given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes) for each in ranked[:TRIED])
+    return next((dict(made.floats) for made in fits if made is not None), None)
 
 
 def compare(

@@ -25,7 +25,6 @@ from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, P
 from drivecal.contracts.evaluation import Difference
 from drivecal.contracts.outside.imported import ImportedRow
 from drivecal.contracts.results import ImportanceAnswer
-from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
@@ -60,18 +59,6 @@ def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "connect", lambda _: nullcontext(client))
     lines = CliRunner().invoke(app, ["importance", "id", "--scenario", "S1", "--variant", "v"]).stdout.splitlines()
     assert [line.split()[0] for line in lines if line.startswith(("a ", "b "))] == ["b", "a"]
-
-
-def test_a_rerun_names_its_option_if_no_best_set_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(*_: object) -> None:
-        raise InvalidInputError(Problem("score", "it is an evaluator's"))
-
-    first = SimpleNamespace(id="a", spec={"evaluator": "reference", "problem": "highway"})
-    client = SimpleNamespace(campaign=lambda _: first, solutions=refused)
-    monkeypatch.setattr(campaigns, "connect", lambda _: nullcontext(client))
-    printed = CliRunner().invoke(app, ["rerun", "a", "--evaluator", "learned", "--from-best"])
-    assert printed.exit_code == 2
-    assert [line for line in ("score: ", "--from-best: ") if line in printed.output] == ["score: ", "--from-best: "]
 
 
 def test_a_rerun_may_have_another_budget(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ from drivecal.configuration.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import ConflictError, NotFoundError
 
 Answered = TypeVar("Answered")
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -77,7 +77,6 @@ def rerun(
     ] = None,
     problem: Annotated[str | None, typer.Option(help="Another push of the problem, e.g. with another formula.")] = None,
     budget: Annotated[int | None, typer.Option(min=1, metavar="N", help="Simulations of the search.")] = None,
-    from_best: Annotated[bool, typer.Option("--from-best", help="Begin with the best stored set by the new weights.")] = False,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
@@ -93,18 +92,9 @@ def rerun(
     with connect(url) as client:
         first = client.campaign(identifier)
         spec = first.spec
-        wanted = spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
-        changes["weights"] = wanted
+        changes["weights"] = spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
         if budget is not None:  # its other ends stay
             changes["budget"] = {**(spec.get("budget") or {}), "simulations": budget}
-        if from_best:
-            score = f"{evaluator or spec['evaluator']}@{problem or spec['problem']}" if evaluator or problem else None
-            try:
-                best = client.solutions(first.id, wanted or None, 1, score).items
-            except InvalidInputError as error:  # a learned score ranks nothing before the rerun
-                unknown = Problem("--from-best", "no best set is known under this score and these weights", "leave it out")
-                raise InvalidInputError(*error.problems, unknown) from None
-            changes["optimizer"] = {"start_sets": [row.parameters for row in best]}
         submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
 
 
