@@ -213,7 +213,7 @@ def _sentence(accounting: Accounting) -> str:
         if item.seconds <= -0.05  # else it would be 0.0 s
     ]
     if costs:
-        verb = "net saving" if accounting.net_seconds >= 0 else "net loss"
+        verb = "net saving" if accounting.net_seconds > -0.05 else "net loss"
         balance = f"{balance}, less {', '.join(costs)}: a {verb} of {abs(accounting.net_seconds):,.1f} s"
     if accounting.clock == "wall":
         cpu, wall = f"{accounting.cpu_seconds:,.1f} s of CPU time", f"{accounting.wall_seconds:,.1f} s"

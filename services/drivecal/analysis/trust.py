@@ -388,9 +388,12 @@ def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
         if not _has_outlook(campaign) or (gain := expected_gain(best)) is None:
             return
         light: Light | Literal["neutral"] = "neutral" if stood else "amber"
-        simulated, stored = campaign.spent.simulations, campaign.cells.repeated
-        if simulated < LEAST_RECORDED or stored > MOST_STORED * campaign.cells.requested:
-            yield verdict("no_outlook", light, simulations=simulated, stored=stored, least=LEAST_RECORDED)
+        simulated, stored, requested = campaign.spent.simulations, campaign.cells.repeated, campaign.cells.requested
+        if simulated < LEAST_RECORDED:
+            yield verdict("no_outlook", light, simulations=simulated, least=LEAST_RECORDED)
+            return
+        if stored > MOST_STORED * requested:
+            yield verdict("no_outlook_stored", light, stored=stored, requested=requested)
             return
         known = [value for value in best if value is not None]
         # a step is a gain: the tolerance of a score with steps is for copied scores
@@ -460,8 +463,9 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
     for (light, study), rates in wrong_in.items():
         yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
     if compared and not wrong_in:
-        worst, variants = max(row.error_rate or 0.0 for _, row in compared), sum(row.compared for _, row in compared)
-        yield verdict("map_validated", "green", worst=worst, variants=variants)
+        wrong, variants = (sum(getattr(row, name) for _, row in compared) for name in ("wrong", "compared"))
+        worst, upper = max(row.error_rate or 0.0 for _, row in compared), max(row.upper_95 or 0.0 for _, row in compared)
+        yield verdict("map_validated", "green", wrong=wrong, variants=variants, worst=worst, upper=upper)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         yield verdict("map_unchecked", "amber")
 
@@ -471,7 +475,12 @@ def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
     for scenario, rate in campaign.error_rate.items():
         if rate.wrong and not _is_inspected(campaign):
             light: Light = "red" if rate.wrong / rate.audited > _DEFAULT.max_error else "amber"
-            yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited)
+            yield verdict(
+                "audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=", and no lots were inspected"
+            )
+        elif 2 * rate.rejected > rate.lots:
+            then = ": correct the map, or analyse again with more samples. Lots kept most wrong answers out"
+            yield verdict("audits_wrong", "amber", scenario, wrong=rate.wrong, audited=rate.audited, then=then)
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
         yield verdict("contradictions", "amber", _only(differing), groups=differing)

@@ -44,9 +44,10 @@ SCORES = CONFIRMED | {
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
-    "map_validated": "The influence map was validated: at most {worst:.1 %} of {variants:,} variants in a scenario are wrong.",
+    "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario, "
+    "where up to {upper:.1 %} may be (95 %).",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
-    "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong, and no lots were inspected.",
+    "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong{then}.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
     "lots": "Of {inspected:,} cells that could be {kind}, in {lots:,} lots, {sampled:,} were simulated as samples; {rejected:,} lots had "
     "too many errors, and all their cells were simulated.",
@@ -90,8 +91,10 @@ SEARCH = {
     "outlook": "A campaign with twice the budget, which begins with these results, would probably improve the best objective by at most "
     "{gain:.3g}, the most that one of its last three doublings brought: in the benchmark, with new searches of deterministic "
     "simulators, {record:.0 %} of such estimates held.",
-    "no_outlook": "What twice the budget would bring is not known: there is a record for new searches with {least} simulations or more; "
-    "this one has {simulations:n simulation} and {stored:n stored answer}.",
+    "no_outlook": "What twice the budget would bring is not known: there is no record for less than {least} simulations, and this search "
+    "has {simulations:,}.",
+    "no_outlook_stored": "What twice the budget would bring is not known: there is a record for new searches alone, and {stored:,} of "
+    "{requested:,} answers of this one were stored before.",
     "converged": "Converged by the paper's criterion for the {of}: found in iteration {iteration} of {iterations}, it then stayed as it "
     "was for at least {unchanged} iterations.",
     "not_converged": "Not converged by the paper's criterion for the {of}: it last changed in iteration {iteration} of {iterations}, and "
@@ -199,5 +202,7 @@ _FORMATS: Mapping[str, Any] = {
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,
-    "entries": lambda texts: f": change {_joined(texts)} in `problem.yaml`, and push the problem again" if texts else "",
+    "entries": lambda texts: (
+        f": change {_joined(texts)} in `problem.yaml`, push it, and submit the campaign again" if texts else ""
+    ),
 }

@@ -27,6 +27,7 @@ misses: at a rate of 10 %, a parameter counts as non-influential with a probabil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import count
 from math import nan, sqrt
 from typing import Any, Literal
 
@@ -105,11 +106,14 @@ def miss_probability(samples: int, change_rate: float) -> float:
 
 
 def tolerance_text(samples: int) -> str:
-    """Returns a sentence about the influence that `auto` tolerates, and how often it misses more."""
+    """Returns a sentence about the influence that `auto` tolerates, how often it misses more, and how many samples miss half as often."""
+    missed = miss_probability(samples, SEEN_RATE)
+    fewer = next(n for n in count(samples + 1) if missed < 0.01 or 2 * miss_probability(n, SEEN_RATE) <= missed)
     return (
         f"threshold auto tolerates a change by the score's tolerance in {tolerated_changes(samples)} of {samples} effects: an "
         f"analysis misses a parameter that changes the score in {100 * SEEN_RATE:.0f} % of its steps with a probability of about "
-        f"{100 * miss_probability(samples, SEEN_RATE):.0f} %; more samples miss less"
+        f"{100 * missed:.0f} %"
+        + (f", of {fewer} samples {100 * miss_probability(fewer, SEEN_RATE):.0f} %" if missed >= 0.01 else "")
     )
 
 

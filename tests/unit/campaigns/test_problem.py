@@ -61,12 +61,16 @@ def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() 
     (note, *_) = _resolve(sensitivity={"threshold": "auto", "samples": 20}).notes
     assert "39 %" in note
     assert _resolve(sensitivity={"threshold": 0.02, "samples": 20}, optimizer=None).notes == ()
+    assert len(_resolve(sensitivity={"threshold": 0.2, "samples": 20}, optimizer=None).notes) == 1, "1.4 of 7 points"
     assert _resolve(sensitivity=None).notes == ()
 
 
-@pytest.mark.parametrize(("cells", "notes"), [(5, 1), (6, 0)])
-def test_a_budget_that_suffices_for_no_set_is_noted(cells: int, notes: int) -> None:
-    assert len(_resolve(budget={"simulations": cells}).notes) == notes
+@pytest.mark.parametrize(("cells", "population", "notes"), [(5, None, 1), (6, None, 0), (120, 20, 1), (121, 20, 0)])
+def test_a_budget_that_suffices_for_no_set_or_for_no_second_population_is_noted(
+    cells: int, population: int, notes: int
+) -> None:
+    optimizer = {"kind": "genetic", "population": population} if population else {"kind": "surrogate"}
+    assert len(_resolve(budget={"simulations": cells}, optimizer=optimizer).notes) == notes
 
 
 def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
@@ -78,7 +82,7 @@ def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
     assert (notes(5 * cost), notes(6 * cost)) == (1, 0), "a quarter of 200, less the samples of lots of 50"
     assert notes(40 * cost, population=40) == 1, "a lot of ten cells is simulated nearly whole"
     assert notes(4 * cost, population=40, reduction={"max_error": 1}) == 0
-    assert notes(100, reduction={"mode": "predicted"}) == 0, "this mode uses no map"
+    assert notes(2_000, reduction={"mode": "predicted"}) == 0, "this mode uses no map"
     assert notes(8 * cost, "surrogate") == 2, "the map answers no cell, so that its analysis saves none"
     assert notes(8 * cost, "surrogate", reduction={"max_error": 1}) == 0
 

@@ -181,8 +181,8 @@ def _doubt(error: MapError) -> str:
     measured = "by audits" if error.audited else "its validation compared"
     return (
         f"the influence map is known to be wrong in {error.scenario}: {error.wrong:,} of {error.compared:,} answers were wrong "
-        f"({measured}, campaign {error.campaign}). Analyse again with more samples, or use reduction.mode predicted; and confirm "
-        "the best sets (reduction.confirm)"
+        f"({measured}, campaign {error.campaign}). Correct it, or analyse again with more samples; or use reduction.mode "
+        "predicted; and confirm the best sets (reduction.confirm)"
     )
 
 

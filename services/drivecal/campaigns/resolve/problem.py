@@ -250,7 +250,6 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     optimization = choose_optimizer(specification, len(weights), diagnostics)
     if notes and (specification.objectives or specification.constraints):
         notes += ("objectives and constraints leave these scenarios out as well",)
-    notes += resolvers.note_threshold(specification)
     notes += workbench.notes
     space = None if workbench.function is None else search_space(specification, workbench.function, diagnostics)
     constraints = None if space is None else resolvers.find_constraints(workbench.function, space, diagnostics)
@@ -280,6 +279,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
     resolvers.check_units(specification, bench.scale, diagnostics)
+    notes += resolvers.note_threshold(specification, bench.scale)
     if bench.is_random:
         notes += note_lost(goals)
     else:
@@ -288,10 +288,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
-    if (cells := problem.search_simulations()) is not None and cells < len(problem.scenarios):
-        notes += (
-            f"the search may take {cells:,} simulations, and a set takes one in each of {len(problem.scenarios)} scenarios",
-        )
+    cells, first = problem.search_simulations(), max(1, population or 0) * len(problem.scenarios)
+    if cells is not None and cells < (len(problem.scenarios) if population is None else first + 1):
+        what = "a set takes one in each scenario" if population is None else f"a population of {population:,} sets may take all"
+        notes += (f"the search may take {cells:,} simulations, and {what}: {first:,}",)
     return replace(problem, notes=(*notes, *diagnostics.notes, *problem.doubts_about_map()))
 
 

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from drivecal.bundles.highway import Scenario
 from drivecal.bundles.shapes import Shapes
 from drivecal.campaigns.resolve.spaces import Function, given_set
-from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification
+from drivecal.contracts.specification import CampaignSpecification, Given, SensitivitySpecification, SeparateThresholds
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.parameters import ParameterSet, ParameterSpace
@@ -49,12 +49,16 @@ def find_scenarios(
     return {name: entries[0] for name, entries in every.items() if name in catalogue}
 
 
-def note_threshold(specification: CampaignSpecification) -> tuple[str, ...]:
-    """Notes the rate of misses of the threshold `auto` for an analysis' number of samples."""
+def note_threshold(specification: CampaignSpecification, scale: Scale) -> tuple[str, ...]:
+    """Notes what a threshold misses: `auto` by the number of samples, a number that is more than the score's tolerance."""
     wanted = specification.sensitivity
-    if not isinstance(wanted, SensitivitySpecification) or wanted.threshold != "auto":
+    if not isinstance(wanted, SensitivitySpecification) or isinstance(wanted.threshold, SeparateThresholds):
         return ()
-    return (thresholds.tolerance_text(wanted.samples),)
+    if wanted.threshold == "auto":
+        return (thresholds.tolerance_text(wanted.samples),)
+    change, tolerance = scale.amount(wanted.threshold * scale.span), scale.amount(scale.tolerance)
+    note = f"`threshold` {wanted.threshold:g} may leave out a parameter that changes the score by {change}; its tolerance is {tolerance}"
+    return (note,) if wanted.threshold * scale.span > scale.tolerance > 0 else ()
 
 
 def own_baseline(

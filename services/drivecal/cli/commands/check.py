@@ -275,7 +275,7 @@ def check(
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
             typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
-        for note in checked.notes:
+        for note in [*checked.notes, *([] if findings else ["no limit was tested; --limits FILE gives some"])]:
             say(f"note: {note}")
         for finding in broken:
             say(f"{finding.scenario}: {finding.limit}: {finding.broken}")
