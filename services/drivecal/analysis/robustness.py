@@ -155,11 +155,9 @@ class RobustnessStudy:
             raise RuntimeError("ask first")
         for solution in self._asked.solutions:
             away = deviation(self._scores[solution], scores[solution], self._settings.condition, self._least)
-            deviations = {
-                name: None if np.isnan(size) else size for name, size in zip(self._scenarios, away.tolist(), strict=True)
-            }
+            sizes = {name: None if np.isnan(size) else size for name, size in zip(self._scenarios, away.tolist(), strict=True)}
             is_kept = holds(away, self._scores[solution], self._settings)
-            trial = BoxTrial(box=self._asked.number, radius=self._asked.radius, holds=is_kept, deviations=deviations)
+            trial = BoxTrial(box=self._asked.number, radius=self._asked.radius, holds=is_kept, deviations=sizes)
             self._trials[solution].append(trial)
         self._boxes, self._asked = self._asked.number, None
 

@@ -197,11 +197,9 @@ def _remarks(accounting: Accounting, lost: int) -> list[str]:
 
 
 def _sentence(accounting: Accounting) -> str:
-    requested, analysis = sum(row.requested for row in accounting.scenarios), accounting.sensitivity
+    requested, made = sum(row.requested for row in accounting.scenarios), accounting.sensitivity
     if not requested:
-        return (
-            f"No cell of a search has an answer.{f' The analysis took {analysis.seconds:,.1f} s.' * (analysis.requested > 0)}"
-        )
+        return f"No cell of a search has an answer.{f' The analysis took {made.seconds:,.1f} s.' * (made.requested > 0)}"
     answered = sum(getattr(row, outcome) for row in accounting.scenarios for outcome in SAVING)
     share = f"{100 * answered / requested:.1f} % of {requested:,} requested cells were answered without a simulation"
     clock = "CPU time" if accounting.clock == "cpu" else "the workers' time"

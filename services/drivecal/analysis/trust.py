@@ -5,7 +5,7 @@ something was not examined. Search: amber if more simulations, wider ranges or a
 converged, or saw nearly everything. There are no lights before the end, but red ones, and none for a campaign without a search.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
 from math import inf
@@ -25,7 +25,7 @@ from drivecal.analysis.convergence import (
     stood_still,
 )
 from drivecal.analysis.verdicts import answers, confirmation_verdict, verdict
-from drivecal.contracts.campaign import Campaign
+from drivecal.contracts.campaign import Campaign, ErrorRate, Released
 from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
@@ -473,26 +473,20 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
 def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields verdicts on audits and lots of answers by references."""
     for scenario, rate in campaign.error_rate.items():
-        if rate.wrong and not _is_inspected(campaign):
-            light: Light = "red" if rate.wrong / rate.audited > _DEFAULT.max_error else "amber"
-            yield verdict(
-                "audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=", and no lots were inspected"
-            )
-        elif 2 * rate.rejected > rate.lots:
-            then = ": correct the map, or analyse again with more samples. Lots kept most wrong answers out"
-            yield verdict("audits_wrong", "amber", scenario, wrong=rate.wrong, audited=rate.audited, then=then)
+        light: Light = "red" if rate.wrong > _DEFAULT.max_error * rate.audited else "amber"
+        then = ", and no lots were inspected"
+        if _is_inspected(campaign):
+            light, then = "amber", ": correct the map, or analyse again with more samples. Lots kept most wrong answers out"
+        if (rate.wrong and not _is_inspected(campaign)) or 2 * rate.rejected > rate.lots:
+            yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=then)
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
         yield verdict("contradictions", "amber", _only(differing), groups=differing)
-    yield from _lots(
-        "reused", [(rate.lots, rate.audited, rate.inspected, rate.rejected) for rate in campaign.error_rate.values()]
-    )
+    yield from _lots("reused", campaign.error_rate.values(), "audited")
 
 
 def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
-    yield from _lots(
-        "predicted", [(each.lots, each.sampled, each.inspected, each.rejected) for each in campaign.released.values()]
-    )
+    yield from _lots("predicted", campaign.released.values(), "sampled")
     for study, row in rows:
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
@@ -507,10 +501,10 @@ def _only(figures: Mapping[str, object]) -> str | None:
     return next(iter(figures)) if len(figures) == 1 else None
 
 
-def _lots(kind: str, counts: Sequence[tuple[int, int, int, int]]) -> Iterator[ResultVerdict]:
-    lots, sampled, inspected, rejected = map(sum, zip(*counts, strict=True)) if counts else (0, 0, 0, 0)
-    if lots:
-        yield verdict("lots", "green", kind=kind, lots=lots, sampled=sampled, inspected=inspected, rejected=rejected)
+def _lots(kind: str, rates: Collection[ErrorRate | Released], samples: str) -> Iterator[ResultVerdict]:
+    counts = {name: sum(getattr(rate, name) for rate in rates) for name in ("lots", samples, "inspected", "rejected")}
+    if counts["lots"]:
+        yield verdict("lots", "green", kind=kind, sampled=counts.pop(samples), **counts)
 
 
 def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:

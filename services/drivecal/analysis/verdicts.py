@@ -202,7 +202,5 @@ _FORMATS: Mapping[str, Any] = {
     "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,
-    "entries": lambda texts: (
-        f": change {_joined(texts)} in `problem.yaml`, push it, and submit the campaign again" if texts else ""
-    ),
+    "entries": lambda texts: f": change {_joined(texts)} in `problem.yaml`, push it, and submit again" if texts else "",
 }

@@ -48,9 +48,7 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             if unit is not None:
                 units[name] = unit
         if "scenario" not in row:
-            raise InvalidInputError(
-                Problem(f"{path}, row {number}", "the column `scenario` is missing", "name the scenario of each row")
-            )
+            raise InvalidInputError(Problem(f"{path}, row {number}", "`scenario` is missing", "name the scenario of each row"))
         rows.append(row)
     if not rows:
         raise InvalidInputError(Problem(str(path), "the file has no rows", "give a row for each set and scenario"))

@@ -23,9 +23,7 @@ from drivecal.optimizers.repair import checked_answers, fitting, searchable
 from drivecal.plugins.ports import Floats, OptimizerPlugin, Proposal
 
 if find_spec("cma") is None:
-    raise InvalidInputError(
-        Problem("optimizer.kind", "it needs the package cma", "install drivecal with the extra [cma] on the server")
-    )
+    raise InvalidInputError(Problem("optimizer.kind", "it needs the package cma", "install the extra [cma] on the server"))
 
 
 class CmaSettings(OptimizerSpecification):

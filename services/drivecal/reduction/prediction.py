@@ -69,15 +69,15 @@ class Predictor(Protocol):
 class FeatureSpace:
     """Positions of parameter sets in the searched ranges; fixed parameters keep their values. A choice is its position in the list."""
 
-    def __init__(self, space: ParameterSpace, names: Sequence[str]) -> None:
-        """`names`: the columns."""
-        self._names = tuple(names)
+    def __init__(self, space: ParameterSpace, names: Sequence[str] | None = None) -> None:
+        """`names`: the columns, by default the searched parameters."""
+        self._names = tuple(names or (each.name for each in space.searched))
         lowest = {parameter.name: billionths(parameter.lower) for parameter in space.searched}
         spans = {parameter.name: billionths(parameter.upper) - lowest[parameter.name] for parameter in space.searched}
         # A fixed choice is the same in every set, and a constant feature decides nothing.
         self._choices = {parameter.name: parameter for parameter in space.parameters if parameter.choices}
-        self._lowest = np.array([lowest.get(name, 0) for name in names], dtype=np.float64)
-        self._spans = np.array([spans.get(name, 10**9) for name in names], dtype=np.float64)
+        self._lowest = np.array([lowest.get(name, 0) for name in self._names], dtype=np.float64)
+        self._spans = np.array([spans.get(name, 10**9) for name in self._names], dtype=np.float64)
 
     def __call__(self, sets: Sequence[ParameterSet]) -> Floats:
         """Returns features of n sets, shape (n, n_p)."""

@@ -43,10 +43,8 @@ def test_an_account_adds_up_in_its_table() -> None:
 
 
 def test_checks_are_listed_by_scenario() -> None:
-    table = sections.audits_table(
-        {"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265), "S2": ErrorRate()}, COMFORT
-    )
-    assert rows_of(table) == [["S1", "8", "1", "1", "12.50 %", "52.65 %", "0", "0", "0", "0"]]
+    got = sections.audits_table({"S1": ErrorRate(audited=8, different=1, wrong=1, upper_95=0.5265), "S2": ErrorRate()}, COMFORT)
+    assert rows_of(got) == [["S1", "8", "1", "1", "12.50 %", "52.65 %", "0", "0", "0", "0"]]
     counts = {"asked": 8, "lots": 7, "rejected": 1, "predicted": 1333, "sampled": 96, "different": 3}
     near = Released(**counts, mean_error=1 / 3, largest_error=2.0, limit=0.05, upper_95=0.0432)
     lots = sections.lots_table({"S1": near, "S2": Released(limit=0.05)})

@@ -63,14 +63,12 @@ def test_a_node_whose_raylet_is_stopped_ends(tmp_path: Path) -> None:
     assert "raylet" in process.communicate()[1]
 
 
-SHOWING = (
-    "import time; from drivecal.cluster.pulse import *; pipe = take_descriptor(); sign(pipe); show(pipe); time.sleep(3600)"
-)
+SHOWS = "import time; from drivecal.cluster.pulse import *; pipe = take_descriptor(); sign(pipe); show(pipe); time.sleep(3600)"
 
 
 @pytest.mark.slow
 def test_a_process_without_further_signs_of_life_ends_so_that_it_is_started_again() -> None:
-    command = [sys.executable, "-m", "drivecal.cluster.guard", sys.executable, "-c", SHOWING]
+    command = [sys.executable, "-m", "drivecal.cluster.guard", sys.executable, "-c", SHOWS]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     until(lambda: bool(psutil.Process(process.pid).children()), "the process")
     (child,) = psutil.Process(process.pid).children()

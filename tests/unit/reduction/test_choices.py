@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivecal.campaigns.results.optima import unit_cube
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
 from drivecal.reduction.explanation import CellComparison
@@ -65,6 +64,6 @@ def test_features_and_places_are_positions_in_the_campaigns_list() -> None:
     sets = [made("eco", "0.25"), made("tow", "1"), ParameterSet.of({"P": Decimal(0), "mode": "winter"})]
     expected = [[0.0, 0.25], [1.0, 1.0], [2 / 3, 0.0]]
     assert FeatureSpace(SPACE, ("mode", "P"))(sets).tolist() == expected
-    assert unit_cube(SPACE, sets).tolist() == expected
+    assert FeatureSpace(SPACE)(sets).tolist() == expected
     held = ParameterSpace(SPACE.parameters, {"mode": "tow"})
     assert FeatureSpace(held, ("mode", "P"))([made("tow", "0.25")])[0, 1] == 0.25

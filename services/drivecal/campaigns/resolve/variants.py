@@ -55,20 +55,18 @@ def find_variants(
     return Variants(shares, normalised({each: sum(own.get(each, 0.0) for own in shares.values()) for each in listed}), vehicles)
 
 
-def _shares(
-    name: str, variant: VariantSpecification, weights: Mapping[str, float], diagnostics: Diagnostics
-) -> dict[str, float]:
+def _shares(name: str, given: VariantSpecification, weights: Mapping[str, float], diagnostics: Diagnostics) -> dict[str, float]:
     """Returns the weights of a variant by scenario of the problem, of sum 1."""
-    listed = list(weights) if variant.scenarios == "all" else variant.scenarios
+    listed = list(weights) if given.scenarios == "all" else given.scenarios
     for place, scenario in enumerate(listed):
         if scenario not in weights:
             field, message = f"variants.{name}.scenarios[{place}]", f"the campaign does not simulate a scenario {scenario!r}"
             diagnostics.add(field, message, nearest(scenario, list(weights)))
-    for scenario in variant.weights:
+    for scenario in given.weights:
         if scenario not in listed:
             field = f"variants.{name}.weights.{scenario}"
             diagnostics.add(field, "it is no scenario of the variant", nearest(scenario, listed))
-    own = dict.fromkeys(weights, 1.0) | variant.weights if variant.weights else weights
+    own = dict.fromkeys(weights, 1.0) | given.weights if given.weights else weights
     return normalised({scenario: own[scenario] for scenario in weights if scenario in listed})
 
 

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from drivecal.analysis.optima import Optimum, regions, to_nearest
 from drivecal.analysis.solutions import EvaluatedSet
-from drivecal.domain.parameters import ParameterSet, ParameterSpace
+from drivecal.domain.parameters import ParameterSpace
 from drivecal.plugins.ports import Floats
+from drivecal.reduction.prediction import FeatureSpace
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
@@ -18,15 +19,6 @@ MOST_BEST = 10_000
 """Largest number of best sets to compare, best rated first: the work grows with its square."""
 MOST_WORSE = 20_000
 """Sets of a worse objective to search for the nearest."""
-
-
-def unit_cube(space: ParameterSpace, sets: Sequence[ParameterSet]) -> Floats:
-    """Positions in the search space, shape (n, n_searched), each axis from 0 to 1; a choice is its position in the list."""
-    rows = [dict(zip(parameter_set.names, parameter_set.billionths, strict=True)) for parameter_set in sets]
-    values = np.array([[each.number(row[each.name]) for each in space.searched] for row in rows], dtype=np.float64)
-    lower = np.array([parameter.billionths(0) for parameter in space.searched], dtype=np.float64)
-    upper = np.array([parameter.billionths(parameter.n_values - 1) for parameter in space.searched], dtype=np.float64)
-    return (values.reshape(len(rows), len(lower)) - lower) / (upper - lower)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,5 +45,5 @@ def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: Par
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
-    places = unit_cube(space, [sets[solution.parameter_set] for solution in (*best, *worse)])
+    places = FeatureSpace(space)([sets[solution.parameter_set] for solution in (*best, *worse)])
     return Alternatives(places[: len(best)], places[len(best) :], regions(places[: len(best)]))

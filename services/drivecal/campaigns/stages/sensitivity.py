@@ -88,11 +88,9 @@ class Sensitivity(Stage):
             if id(points) not in sets:  # scenarios may share one array
                 sets[id(points)] = self._problem.space.parameter_sets(points)
         return [
-            RequestedCell(individual, scenario, parameters, seed=self._problem.bench.seed_of(sample))
+            RequestedCell(number, scenario, parameters, seed=self._problem.bench.seed_of(sample))
             for scenario, points in phase.points.items()
-            for individual, (parameters, sample) in enumerate(
-                zip(sets[id(points)], phase.samples[scenario].tolist(), strict=True)
-            )
+            for number, (parameters, sample) in enumerate(zip(sets[id(points)], phase.samples[scenario].tolist(), strict=True))
         ]
 
     def _tell(self, asked: Round) -> None:

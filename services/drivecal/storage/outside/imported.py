@@ -42,9 +42,7 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
     places: dict[tuple[int, str], ImportedValues] = {}
     for number, each in zip(ids, given, strict=True):
         if places.setdefault((number, each.scenario), each) != each:
-            raise ConflictError(
-                f"{each.source} has two results of {each.date} for one set in {each.scenario}; keep one, or their mean"
-            )
+            raise ConflictError(f"{each.source} has two results of {each.date} for one set in {each.scenario}; keep one")
     own = select(imported_results).where(table.problem == problem, table.source == given[0].source, table.date == given[0].date)
     for row in rows_among(connection, own, table.parameter_set_id, sorted(set(ids))):
         if (row.parameter_set_id, row.scenario) not in places:

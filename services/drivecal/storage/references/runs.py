@@ -196,10 +196,8 @@ class RunOfSet:
 
 def of_sets(connection: Connection, setup_id: int, parameter_set_ids: Sequence[int]) -> list[RunOfSet]:
     """Returns the runs of parameter sets in a setup."""
-    columns = select(runs.c.parameter_set_id, runs.c.evaluation_id, runs.c.metrics, runs.c.failure)
-    rows = rows_among(
-        connection, columns.where(runs.c.setup_id == setup_id), runs.c.parameter_set_id, sorted(parameter_set_ids)
-    )
+    query = select(runs.c.parameter_set_id, runs.c.evaluation_id, runs.c.metrics, runs.c.failure)
+    rows = rows_among(connection, query.where(runs.c.setup_id == setup_id), runs.c.parameter_set_id, sorted(parameter_set_ids))
     read = metrics_reader(connection)
     return [RunOfSet(row[0], row[1], read(row[2]), row[3]) for row in rows]
 

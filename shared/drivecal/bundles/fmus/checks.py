@@ -35,7 +35,7 @@ def section_problems(
         parameters: Units of the problem's parameters by name.
     """
     yield from _signals(field, section, variables)
-    yield from _constants(field, section, variables, parameters)
+    yield from _fixed(field, section, variables, parameters)
     yield from _inputs(field, section, variables, parameters)
     yield from unit_problems(variables, parameters)
 
@@ -122,9 +122,7 @@ def _signals(field: str, section: Mapping[str, Any], variables: Variables) -> It
             yield Problem(f"{field}.signals.{name}", message, "name an input of the FMU")
 
 
-def _constants(
-    field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]
-) -> Iterator[Problem]:
+def _fixed(field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]) -> Iterator[Problem]:
     signals = {variable: name for name, variable in section["signals"].items()}
     for name, value in (section.get("constants") or {}).items():
         at = f"{field}.constants.{shown(name)}"

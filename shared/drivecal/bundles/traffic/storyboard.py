@@ -265,9 +265,7 @@ class Storyboard:
             lanes = target.integer("value", -30, 30)
             widest = max(len(self._ways.roads.network.edges[edge].lanes) for edge in self._ways.edges[vehicle])
             if abs(lanes) >= widest:
-                message = (
-                    f"the vehicle's direction has only {widest} lanes, and no vehicle changes to those of the other direction"
-                )
+                message = f"the vehicle's direction has only {widest} lanes, and none changes to those of the other direction"
                 raise target.fault(message, f"give a value between {1 - widest} and {widest - 1}")
             return ({} if other == vehicle else {"beside": other}) | {"by": lanes}
         number = target.integer("value", -64, 64)

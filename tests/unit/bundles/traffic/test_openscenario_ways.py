@@ -162,13 +162,11 @@ def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:
     reference = '<CatalogReference catalogName="routes" entryName="r"/>'
     at = '<InRoutePosition><FromLaneCoordinates laneId="-3" pathS="{}" laneOffset="1.5"/></InRoutePosition>'
     position = f"<RoutePosition><RouteRef>{reference}</RouteRef>{at.format(150)}</RoutePosition>"
-    assigned = (
-        f"<PrivateAction><RoutingAction><AssignRouteAction>{reference}</AssignRouteAction></RoutingAction></PrivateAction>"
-    )
+    given = f"<PrivateAction><RoutingAction><AssignRouteAction>{reference}</AssignRouteAction></RoutingAction></PrivateAction>"
     own = f"<RoutePosition><RouteRef>{reference}</RouteRef>{at.format(300)}</RoutePosition>"
     content = acting("Other", MEET.format(master='<LanePosition roadId="7" laneId="-3" s="500"/>', own=own, final=""))
-    starts = EGO.replace("</Private>", f"{assigned}</Private>") + private(
-        "Other", moved(f"<Position>{position}</Position>"), assigned
+    starts = EGO.replace("</Private>", f"{given}</Private>") + private(
+        "Other", moved(f"<Position>{position}</Position>"), given
     )
     description = read(CARS, starts, content, routes=route)
     assert description.scenario.route == ["-7"]
@@ -189,12 +187,10 @@ def test_a_maneuver_of_a_catalog_is_driven_with_its_parameters() -> None:
         f'<Event name="e" priority="parallel"><Action name="a"><PrivateAction>{brake}</PrivateAction></Action></Event>'
         f'<Event name="f" priority="parallel"><Action name="b">{variable}</Action>{collision}</Event>'
     )
-    declared = (
-        '<ParameterDeclarations><ParameterDeclaration name="to" parameterType="double" value="9"/></ParameterDeclarations>'
-    )
+    own = '<ParameterDeclarations><ParameterDeclaration name="to" parameterType="double" value="9"/></ParameterDeclarations>'
     given = '<ParameterAssignments><ParameterAssignment parameterRef="$to" value="5"/></ParameterAssignments>'
     content = acting("Other", f'<CatalogReference catalogName="moves" entryName="m">{given}</CatalogReference>')
-    description = read(CARS, EGO + OTHER, content, moves=f'<Maneuver name="m">{declared}{events}</Maneuver>')
+    description = read(CARS, EGO + OTHER, content, moves=f'<Maneuver name="m">{own}{events}</Maneuver>')
     (action,) = other_of(description).actions
     assert isinstance(action, Brake)
     assert (action.speed, action.rate) == (5.0, 3.0)

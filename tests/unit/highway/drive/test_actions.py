@@ -225,10 +225,8 @@ def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
 def test_what_waits_for_an_action_that_does_nothing_waits_for_it_once(sumo: Sumo) -> None:
     near = Moving(80.0, 0.0, 0.0, 2.5)
     wait = {"id": "near", "do": "wait", "gap": 20}
-    these = several(
-        wait, {"do": "brake", "speed": 0, "rate": 10, "when": [{"done": "near"}, {"quantity": "time", "above": 1.5}]}
-    )
+    two = several(wait, {"do": "brake", "speed": 0, "rate": 10, "when": [{"done": "near"}, {"quantity": "time", "above": 1.5}]})
     for step, ego in enumerate((FAR_AWAY, near, FAR_AWAY, FAR_AWAY, FAR_AWAY)):
-        act(these, step, ego)
+        act(two, step, ego)
     assert sumo.speeds == [25, 20]
     assert not sumo.offsets
