@@ -3,23 +3,30 @@
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import Literal, Protocol, Self
 
 from drivecal.client.documents import in_pieces
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.outside.sets import CellAnswered
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CellAnswered
 from drivecal.contracts.specification import Given
 from drivecal.domain.errors import ConflictError, DrivecalError
-
-if TYPE_CHECKING:
-    from drivecal.client.client import Client
 
 WAIT_SECONDS = 20.0
 """Time for which a request waits for answers, below the usual time limits of proxies."""
 
 Parameters = Mapping[str, Given]
+
+
+class _Feeding(Protocol):
+    """The client's calls about a campaign that others feed."""
+
+    def propose(self, identifier: str, sets: Sequence[Mapping[str, object]]) -> AcceptedSets: ...
+    def answers(self, identifier: str, after: int = 0, wait: float = 0.0) -> AnswerPage: ...
+    def act(self, identifier: str, action: Literal["finish"]) -> Campaign: ...
+    def campaign(self, identifier: str) -> Campaign: ...
+    def wait(self, identifier: str) -> Campaign: ...
 
 
 class SearchEndedError(DrivecalError):
@@ -46,7 +53,7 @@ class AskTell:
     SearchEndedError leaves the block without an error, so that the budget ends your loop. After another exception the campaign stays open.
     """
 
-    def __init__(self, client: "Client", campaign: Campaign) -> None:
+    def __init__(self, client: _Feeding, campaign: Campaign) -> None:
         self._client, self.campaign = client, campaign
         self._last = 0
         self._cells: dict[str, dict[str, CellAnswered]] = {}

@@ -42,10 +42,8 @@ def check_junction(network: Network, links: Sequence[Connection], index: int) ->
             raise refusal(index, network, f"{where} has {STOPS[link.state]}", "give a route without crossings")
     crossing = None if network.crossed else next(_crossings(network, junction, links), None)
     if crossing is not None:
-        message = (
-            f"{where} is a crossing: {crossing} crosses the way from {shown(links[0].begin, 80)} to {shown(links[0].end, 80)}"
-        )
-        raise refusal(index, network, message, "give a route along a road without crossings")
+        why = f"{where} is a crossing: {crossing} crosses the way from {shown(links[0].begin, 80)} to {shown(links[0].end, 80)}"
+        raise refusal(index, network, why, "give a route along a road without crossings")
 
 
 def _crossings(network: Network, junction: Junction, links: Sequence[Connection]) -> Iterator[str]:

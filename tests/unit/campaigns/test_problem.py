@@ -66,9 +66,7 @@ def test_the_misses_of_the_threshold_auto_are_noted_before_an_analysis_begins() 
 
 
 @pytest.mark.parametrize(("cells", "population", "notes"), [(5, None, 1), (6, None, 0), (120, 20, 1), (121, 20, 0)])
-def test_a_budget_that_suffices_for_no_set_or_for_no_second_population_is_noted(
-    cells: int, population: int, notes: int
-) -> None:
+def test_a_budget_that_suffices_for_no_set_or_one_population_is_noted(cells: int, population: int, notes: int) -> None:
     optimizer = {"kind": "genetic", "population": population} if population else {"kind": "surrogate"}
     assert len(_resolve(budget={"simulations": cells}, optimizer=optimizer).notes) == notes
 

@@ -100,13 +100,11 @@ def _entity(name: str, described: Element, element: Element, notes: Notes) -> En
         towed.skip()
         if towed.children:
             notes.add(element, f"{shown(name)} is driven without its trailer")
-    vehicle_class = (
-        CATEGORIES[described.word("vehicleCategory", CATEGORIES, "car")] if described.element == "Vehicle" else "passenger"
-    )
+    kind = CATEGORIES[described.word("vehicleCategory", CATEGORIES, "car")] if described.element == "Vehicle" else "passenger"
     box = described.only("BoundingBox")
     size, centre = box.only("Dimensions"), box.only("Center")
     length, width = (size.number(key, 0.05, LONGEST) for key in ("length", "width"))
-    return Entity(name, vehicle_class, length, width, centre.number("x", -LONGEST, LONGEST), element)
+    return Entity(name, kind, length, width, centre.number("x", -LONGEST, LONGEST), element)
 
 
 class Catalogs:

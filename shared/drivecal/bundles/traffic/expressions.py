@@ -62,9 +62,7 @@ def evaluated(text: str, values: Mapping[str, float | bool]) -> float | bool:
     while end < len(text) <= LONGEST and (token := _TOKEN.match(text, end)):
         end = token.end()
     if end < len(text):
-        raise ExpressionError(
-            f"it cannot be read at {shown(text[end : end + 10])}", "give at most 2000 characters, and " + _REMEDY
-        )
+        raise ExpressionError(f"it cannot be read at {shown(text[end : end + 10])}", "at most 2000 characters, and " + _REMEDY)
     try:
         tree = ast.parse(" ".join(text.split()), mode="eval").body
         value = _value(tree, {**values, **CONSTANTS}, 1)

@@ -162,12 +162,10 @@ def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:
     reference = '<CatalogReference catalogName="routes" entryName="r"/>'
     at = '<InRoutePosition><FromLaneCoordinates laneId="-3" pathS="{}" laneOffset="1.5"/></InRoutePosition>'
     position = f"<RoutePosition><RouteRef>{reference}</RouteRef>{at.format(150)}</RoutePosition>"
-    given = f"<PrivateAction><RoutingAction><AssignRouteAction>{reference}</AssignRouteAction></RoutingAction></PrivateAction>"
+    way = f"<PrivateAction><RoutingAction><AssignRouteAction>{reference}</AssignRouteAction></RoutingAction></PrivateAction>"
     own = f"<RoutePosition><RouteRef>{reference}</RouteRef>{at.format(300)}</RoutePosition>"
     content = acting("Other", MEET.format(master='<LanePosition roadId="7" laneId="-3" s="500"/>', own=own, final=""))
-    starts = EGO.replace("</Private>", f"{given}</Private>") + private(
-        "Other", moved(f"<Position>{position}</Position>"), given
-    )
+    starts = EGO.replace("</Private>", f"{way}</Private>") + private("Other", moved(f"<Position>{position}</Position>"), way)
     description = read(CARS, starts, content, routes=route)
     assert description.scenario.route == ["-7"]
     rider = other_of(description)
