@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+import yaml
 from tests.support.answered_campaigns import METRICS, carry_out
 from tests.support.command import Run
 from tests.support.computed import ComputedBackend
@@ -114,6 +115,8 @@ def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningA
         back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
         assert back["baseline"] == best["parameters"]
     assert json.loads(run(*shape, "--json").stdout)["parameters"] == best["parameters"]
+    run("export", submitted, "--row", "2", "-o", str(tmp_path / "set.yaml"))
+    assert yaml.safe_load((tmp_path / "set.yaml").read_text()) == {"parameters": best["parameters"]}
     assert "ACC_tGap_C: {" in run("parameters", str(file)).stdout
     described = tmp_path / "ecu.a2l"
     described.write_text("""/begin PROJECT p "" /begin CHARACTERISTIC ACC_tGap_C "" VALUE 0 L 0 NO_COMPU_METHOD 0 9
@@ -135,7 +138,7 @@ def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submit
     assert result.exit_code == 2
     assert str(tmp_path / "no") in result.stderr
     assert run("export", "0" * 32, "-o", str(tmp_path / "cells.csv")).exit_code == 5
-    assert run("export", submitted, "-o", str(tmp_path / "cells.yaml")).exit_code == 2
+    assert run("export", submitted, "-o", str(tmp_path / "cells.xlsx")).exit_code == 2
     assert {path.name for path in tmp_path.iterdir()} == {"campaign.yaml"}
 
 

@@ -149,10 +149,8 @@ def confirmation_verdict(confirmation: Confirmation) -> ResultVerdict:
     if confirmation.failed:
         code += "_failed"
     if confirmation.objective is not None and confirmation.believed is not None:
-        equal = same(confirmation.objective, confirmation.believed)
-        numbers["belief"] = (
-            "as the search believed" if equal else f"the search believed {objective_text(confirmation.believed)}"
-        )
+        held = same(confirmation.objective, confirmation.believed)
+        numbers["belief"] = "as the search believed" if held else f"the search believed {objective_text(confirmation.believed)}"
     lights: dict[str, Light] = {"confirmed": "green", "untried": "amber", "unconfirmed": "red"}
     confirmed = verdict(code, lights[confirmation.state], **numbers)
     if not confirmation.dismissed:

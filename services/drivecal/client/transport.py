@@ -119,9 +119,7 @@ def _document(response: httpx.Response) -> dict[str, object]:
         if response.status_code in PROXY:
             message = f"a proxy answers HTTP {response.status_code} in the place of the server at {response.url}"
             raise UnavailableError(f"{message}; it may be starting: try again")
-        raise UnavailableError(
-            f"the server at {response.url} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url"
-        )
+        raise UnavailableError(f"{response.url} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url")
     return document
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, TextIO, cast, get_args
 
 import typer
+import yaml
 
 from drivecal.calibration_data.files import labels_of
 from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
@@ -26,7 +27,7 @@ from drivecal.contracts.assignments import assignments
 from drivecal.contracts.tables import TableName
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 
-Format = Literal["csv", "parquet", "json", "dcm", "cdfx"]
+Format = Literal["csv", "parquet", "json", "yaml", "dcm", "cdfx"]
 ScoreOption = Annotated[
     str | None,
     typer.Option(
@@ -145,8 +146,8 @@ def export(
     url: UrlOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
 ) -> None:
-    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, or csv
-    and json with --row)."""
+    """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, yaml, or
+    csv and json with --row)."""
     if to == "mlflow":
         _refuse_beside_mlflow(context)
         folder = Path("mlruns" if output == "-" else output)
@@ -157,7 +158,7 @@ def export(
     if as_json and form not in {None, "json"}:
         raise typer.BadParameter(f"--json is --format json, not {form}")
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
-    is_single = form in {"dcm", "cdfx"} or any(given is not None for given in (row, names, base))
+    is_single = form in {"dcm", "cdfx", "yaml"} or any(given is not None for given in (row, names, base))
     table = given_table or ("solutions" if is_single else "evaluations")
     if weights is not None and table not in {"solutions", "front"}:
         raise typer.BadParameter("--weights needs --table solutions or front")
@@ -208,20 +209,22 @@ def _format_of(output: str) -> Format:
 def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
-    """Returns the set of a rank as a calibration file, or as JSON for `drivecal check`."""
+    """Returns the set of a rank as a calibration file, or as JSON or YAML for `drivecal check`."""
     if form == "parquet":
-        raise InvalidInputError(Problem("--format", "parquet holds no single set", "give dcm, cdfx, csv or json"))
-    if form == "json" and (names is not None or "base" in query):
-        raise InvalidInputError(Problem("--names, --base", "a set as JSON has its parameters alone", "leave them out"))
+        raise InvalidInputError(Problem("--format", "parquet holds no single set", "give dcm, cdfx, yaml, csv or json"))
+    if form in {"json", "yaml"} and (names is not None or "base" in query):
+        raise InvalidInputError(Problem("--names, --base", f"a set as {form} has its parameters alone", "leave them out"))
     if table not in {"solutions", "front"}:
         raise InvalidInputError(Problem("--table", f"{table} holds no ranked sets", "give --table solutions or front"))
     if "where" in query:
         raise InvalidInputError(Problem("--where", "a single set is chosen by its rank", "give --row, and --weights if wanted"))
-    if form == "json":
+    if form == "json" or form == "yaml":  # mypy narrows by these
         chosen = next(islice(client.rows(identifier, table, **query), row - 1, None), None)
         if chosen is None:
             raise NotFoundError("set", f"{identifier}#{row}", "fewer sets are ranked")
-        return json.dumps({"parameters": chosen["parameters"]}, ensure_ascii=False, indent=1).encode() + b"\n"
+        document = {"parameters": chosen["parameters"]}
+        written = json.dumps(document, ensure_ascii=False, indent=1) + "\n"
+        return (written if form == "json" else yaml.safe_dump(document, sort_keys=False, allow_unicode=True)).encode()
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
     given = {name: value for name, value in query.items() if name in {"weights", "score", "variant", "base"}}
