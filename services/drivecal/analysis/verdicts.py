@@ -14,14 +14,14 @@ from drivecal.domain.scales import objective_text, unit_text
 SHORT = 8
 """Characters of a campaign's id in a sentence."""
 CONFIRMED = {
-    "confirmed": "Confirmed by simulation: the best objective is {objective:objective}, {belief}; {tried:n set} tried.",
+    "confirmed": "Confirmed by simulation: the best objective is {objective:objective}, {belief}; {tried:n set} simulated again.",
     "untried": "Better sets may exist: the best simulated objective is {objective:objective}, others are believed to reach "
     "{reach:objective}; no more than {tried:n set} (reduction.confirm) were tried.",
     "unconfirmed": "Not confirmed: the best set's score in {copied:list} is still a copy; {tried:n set} (reduction.confirm) tried.",
     "unconfirmed_failed": "Not confirmed: the best set's score in {copied:list} is still a copy, for its simulation failed; "
     "{tried:n set} tried.",
     "dismissed": "{dismissed:n set} dismissed on a prediction alone.",
-    "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have only scores of their own; {tried:n set} tried.",
+    "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have only scores of their own; {tried:n set} simulated again.",
     "front_untried": "Better sets may exist: others are believed to be on the front; no more than {tried:n set} (reduction.confirm) "
     "were tried.",
     "front_unconfirmed": "Not confirmed: {front_copied:,} of the {front:n set} of the front have copied scores; {tried:n set} "

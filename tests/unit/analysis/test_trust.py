@@ -82,8 +82,12 @@ def stalled(*course: tuple[float | None, float | None]) -> list[Generation]:
 @pytest.mark.parametrize(
     ("confirmation", "light", "words"),
     [
-        (CONFIRMED, "green", "as the search believed; 1 set tried"),
-        (CONFIRMED.model_copy(update={"believed": 7.0, "tried": 2}), "green", "the search believed 7.0000; 2 sets tried"),
+        (CONFIRMED, "green", "as the search believed; 1 set simulated again"),
+        (
+            CONFIRMED.model_copy(update={"believed": 7.0, "tried": 2}),
+            "green",
+            "the search believed 7.0000; 2 sets simulated again",
+        ),
         (CONFIRMED.model_copy(update={"state": "untried", "reach": 6.5}), "amber", "others are believed to reach 6.5000"),
         (Confirmation(state="unconfirmed", tried=3, copied=["S4"]), "red", "the best set's score in S4 is still a copy"),
         (Confirmation(state="unconfirmed", tried=1, copied=["S4"], failed=True), "red", "its simulation failed; 1 set tried"),
