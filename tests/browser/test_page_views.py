@@ -192,12 +192,10 @@ def test_a_scatter_keeps_ranges_that_the_table_and_the_export_follow(shown: Show
 @pytest.mark.slow
 def test_what_matters_is_told_once_with_the_reason_of_a_disagreement(shown: Shown, opening: Opening) -> None:
     changes = {"reduction": {"mode": "off"}, "optimizer": {"kind": "random", "population": 60, "iterations": 2, "seed": 2}}
-    campaign = run(
-        shown.api.database, submit(shown.api.database, **WITH_ANALYSIS | changes), ComputedBackend(answer=influenced)
-    )
-    page = opening(f"{shown.api.url}/#/campaigns/{campaign.id}/ranking")
+    ended = run(shown.api.database, submit(shown.api.database, **WITH_ANALYSIS | changes), ComputedBackend(answer=influenced))
+    page = opening(f"{shown.api.url}/#/campaigns/{ended.id}/ranking")
     page.get_by_role("link", name="Which parameters matter", exact=True).click()
-    said = shown.api.http.get(f"/api/v1/campaigns/{campaign.id}/importance").json()
+    said = shown.api.http.get(f"/api/v1/campaigns/{ended.id}/importance").json()
     rows = page.get_by_role("table", name="What matters: objective", exact=True).get_by_role("row")
     expect(rows).to_have_count(1 + len(said["items"]))
     for place, item in enumerate(said["items"], start=1):

@@ -147,10 +147,8 @@ def test_the_command_prints_the_front(ended: Ended, tmp_path: Path) -> None:
     answer = json.loads(command("front", ended.first, "--url", ended.api.url, "--json").stdout)
     assert answer["summary"]["size"] == len(answer["items"])
     target = tmp_path / "front.parquet"
-    written = command(
-        "export", ended.first, "--table", "front", "--format", "parquet", "-o", str(target), "--url", ended.api.url
-    )
-    assert written.exit_code == 0, written.stderr
+    done = command("export", ended.first, "--table", "front", "--format", "parquet", "-o", str(target), "--url", ended.api.url)
+    assert done.exit_code == 0, done.stderr
     assert target.stat().st_size > 0
     pipe, received = tmp_path / "pipe", tmp_path / "received"
     os.mkfifo(pipe)

@@ -103,11 +103,9 @@ class Known:
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
     folder: Path = tmp_path_factory.mktemp("schema")
     (folder / "tokens").write_text(f"writer author {TOKEN}\n")
-    with serving(
-        f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens"), queued_campaigns=100_000
-    ) as running:
-        running.http.headers.update(HEADERS)
-        yield running
+    with serving(f"sqlite:///{folder / 'drivecal.db'}", tokens_file=str(folder / "tokens"), queued_campaigns=100_000) as api:
+        api.http.headers.update(HEADERS)
+        yield api
 
 
 @pytest.fixture(scope="module")

@@ -97,9 +97,7 @@ def test_a_repaired_set_that_was_asked_before_is_no_requested_cell(tmp_path: Pat
     assert outcomes[0] == outcomes[1]
 
 
-@pytest.mark.parametrize(
-    "optimizer", [{"kind": "cell_search"}, {"kind": "genetic", "population": 12}], ids=["cells", "population"]
-)
+@pytest.mark.parametrize("optimizer", [{"kind": "cell_search"}, {"kind": "genetic", "population": 12}], ids=["cells", "sets"])
 def test_a_search_resumes_between_a_closed_round_and_the_next_one(tmp_path: Path, optimizer: dict[str, Any]) -> None:
     result = []
     for deaths in (0, 2):

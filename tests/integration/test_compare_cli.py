@@ -49,14 +49,12 @@ def test_a_comparison_gives_table_5_with_and_without_a_reduction(ended: dict[str
         ("genetic", 1, "influence", "succeeded"),
         ("genetic", 2, "exact", "succeeded"),
     ]
-    for group in ended["groups"]:
-        runs = [
-            run for run in ended["runs"] if (run["optimizer"], run["reduction"]) == (group["optimizer"], group["reduction"])
-        ]
-        assert group["mean"] == pytest.approx(sum(run["simulated_best"] for run in runs) / 3)
-        assert group["simulations"] == pytest.approx(sum(run["simulations"] for run in runs) / 3)
+    for each in ended["groups"]:
+        runs = [run for run in ended["runs"] if (run["optimizer"], run["reduction"]) == (each["optimizer"], each["reduction"])]
+        assert each["mean"] == pytest.approx(sum(run["simulated_best"] for run in runs) / 3)
+        assert each["simulations"] == pytest.approx(sum(run["simulations"] for run in runs) / 3)
     assert all(run["simulated_best"] == run["best"] for run in ended["runs"] if run["reduction"] == "exact")
-    exact, reduced = (group["simulations"] for group in ended["groups"][:2])
+    exact, reduced = (each["simulations"] for each in ended["groups"][:2])
     assert reduced < 0.5 * exact, "a map that denies everything saves nearly everything"
 
 

@@ -54,11 +54,9 @@ DAY = b"""<routes>
 </routes>"""
 
 
-def result(
-    folder: Path, data: Mapping[str, Any], file: str = "acc.py", parameters: Mapping[str, Any] = PARAMETERS
-) -> RunOutcome:
+def result(folder: Path, data: Mapping[str, Any], file: str = "acc.py", values: Mapping[str, Any] = PARAMETERS) -> RunOutcome:
     with driven(folder, data, CONTROLLERS["python"] | {"file": file}) as session:
-        return session.evaluate(parameters, series=True)
+        return session.evaluate(values, series=True)
 
 
 def series(outcome: RunOutcome, name: str) -> np.ndarray:
@@ -95,9 +93,7 @@ def test_a_route_file_brings_its_vehicles_and_flows(folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE, PEAK], ids=["openscenario", "routes", "warm-up"]
-)
+@pytest.mark.parametrize("data", [{"openscenario": "scenarios/cut_in.xosc"}, MERGE, PEAK], ids=["xosc", "routes", "warm-up"])
 def test_runs_repeat_to_the_bit_in_other_orders_and_processes(folder: Path, data: dict[str, Any]) -> None:
     sets = [PARAMETERS | {"v0": speed} for speed in (26.0, 30.0, 33.0)]
     with driven(folder, data, CONTROLLERS["python"] | {"file": "follow.py"}) as session:

@@ -316,10 +316,8 @@ def test_a_rerun_predicts_from_what_the_first_campaign_simulated(database: Datab
     counts = Counter(row.outcome for row in rows_of(database, ended))
     assert ended.cells.predicted == counts[Outcome.PREDICTED] > 0
     assert ended.cells.simulated < first.cells.simulated
-    earliest = min(
-        row.individual for row in rows_of(database, ended) if row.outcome is Outcome.PREDICTED and row.iteration == 0
-    )
-    assert earliest < slice_size(400), "the first batch waits for no answer of its own"
+    least = min(row.individual for row in rows_of(database, ended) if row.outcome is Outcome.PREDICTED and row.iteration == 0)
+    assert least < slice_size(400), "the first batch waits for no answer of its own"
     best = Cell(1, present(ended.best).parameters)
     assert present(ended.best).scores == {name: slowly(name, best).score for name in ("S1", "S2")}
 

@@ -206,10 +206,8 @@ def test_an_answer_of_another_process_is_taken_over(database: Database, monkeypa
     for _ in range(4):
         working.step()
     with database.transaction() as connection:
-        waiting = text(
-            "UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)"
-        )
-        connection.execute(waiting)
+        last = text("UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)")
+        connection.execute(last)
     monkeypatch.setattr(Silent, "wait", ComputedBackend.wait)
     ended = finish(database, campaign, working)
     assert ended.state is CampaignState.SUCCEEDED

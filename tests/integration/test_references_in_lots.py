@@ -72,6 +72,7 @@ def test_counts_of_lots_cells_and_campaign_agree(inspected: tuple[Database, Stor
     for scenario, rate in campaign.error_rate.items():
         here = [lot for lot in stored if lot.scenario == scenario]
         assert (rate.lots, rate.inspected) == (len(here), sum(lot.size for lot in here))
+        assert rate.sampled == rate.audited
         assert rate.rejected == sum(lot.verdict is LotVerdict.REJECTED for lot in here)
         assert rate.audited == sum(lot.sample for lot in here)
         assert rate.wrong == sum(lot.errors or 0 for lot in here)

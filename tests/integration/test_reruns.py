@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from tests.support.changes import install
 from tests.support.computed import ComputedBackend
-from tests.support.problems import LIMITS, submit_checked
+from tests.support.problems import LIMITS, scored, store, submit_checked
 from tests.support.runs import WITH_ANALYSIS, influenced, run
 from tests.support.values import numbers, present
 
@@ -23,6 +23,7 @@ from drivecal.contracts.specification import CampaignSpecification, EvaluationSp
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Rating
+from drivecal.domain.setups import Setup
 from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
@@ -127,9 +128,7 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
     first = _run(database, sensitivity=None, optimizer={"kind": "random", "population": 6, "iterations": 1})
     with database.read() as connection:
         row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
-    wanted = EvaluationSpecification.model_validate(
-        {"parameters": numbers(row.parameters), "scenario": "S1", "evaluator": "strict"}
-    )
+    wanted = EvaluationSpecification(parameters=numbers(row.parameters), scenario="S1", evaluator="strict")
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)
     assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])
@@ -145,15 +144,46 @@ def test_a_rerun_with_equal_weights_simulates_nothing(database: Database, limit:
     assert (again.best, again.cells.requested, again.cells.reused) == (first.best, first.cells.requested, first.cells.reused)
 
 
-def test_a_rerun_of_populations_begins_with_the_best_stored_set(database: Database, strict: None) -> None:
-    del strict
-    first = _run(database, weights={"S1": 9, "S2": 1}, optimizer={"kind": "random", "population": 40, "iterations": 1})
+RANGES = {name: {"lower": 0, "upper": 1, "step": 0.01} for name in ("a", "b")}
+SCORES = {name: {"formula": of, "direction": "minimise", "range": [0, 10]} for name, of in (("cost", "y"), ("other", "z"))}
+OPTIMIZER = {"kind": "random", "population": 30, "iterations": 2}
+SEARCH: dict[str, Any] = {"problem": "mine", "sensitivity": None, "optimizer": OPTIMIZER}
+MINE = scored("mine", RANGES, baseline={"a": 0.5, "b": 1}) | {"measures": {"y": "1", "z": "1"}, "scores": SCORES}
 
-    def begun(**changes: Any) -> Any:
-        wanted = RerunSpecification.model_validate({"weights": {"S1": 90, "S2": 10}} | changes)
-        return submission.rerun(database, LIMITS, first.id, wanted, None).spec["optimizer"]["start_sets"]
 
-    ranked = solution_pages(StoredRanking(database, first, resolved_spec(first)), "S1=1,S2=9")
-    assert begun(weights={"S1": 1, "S2": 9}) == [row.parameters for row in ranked.solutions(0, 1)]
-    assert begun() == [], "weights that say the same change nothing"
-    assert begun(evaluator="strict") == [], "an evaluator's score ranks nothing before the rerun"
+def _driven(setup: Setup, cell: Cell) -> CellResult:
+    a, b = float(cell.parameters["a"]), float(cell.parameters["b"])
+    measures = {"y": a, "z": 3 * a} if setup.scenario == "city" else {"y": 5 * b, "z": 5 * (1 - a)}
+    return CellResult(cell.id, None, None, measures, None, 7.0)
+
+
+@pytest.mark.parametrize(
+    ("asked", "changes", "by"),
+    [
+        ({}, {"weights": {"city": 9}}, ("city=9,road=1", None)),
+        ({}, {"weights": {"road": 0}, "evaluator": "other"}, ("city=1,road=0", "other@mine")),
+        ({"objectives": [{"score": "cost"}], "reduction": {"mode": "exact"}}, {"evaluator": "other"}, (None, None)),
+        ({"weights": {"city": 0.7, "road": 0.1}}, {"weights": {"city": 7}, "optimizer": {"seed": 5}}, None),
+        ({"reduction": {"isolated": True}}, {"weights": {"city": 9}}, None),
+    ],
+)
+def test_a_rerun_of_populations_begins_with_the_best_stored_set(
+    database: Database, asked: dict[str, Any], changes: dict[str, Any], by: tuple[str | None, str | None] | None
+) -> None:
+    store(database, MINE)
+    first = run(database, submit_checked(database, SEARCH | asked), ComputedBackend(driven=_driven))
+    begun = submission.rerun(database, LIMITS, first.id, RerunSpecification(**{"weights": {}} | changes), None).spec[
+        "optimizer"
+    ]
+    ranked = by and solution_pages(StoredRanking(database, first, resolved_spec(first)), *by).solutions(0, 1)
+    assert begun["start_sets"] == [row.parameters for row in ranked or ()]
+
+
+def test_a_rerun_of_another_push_begins_with_a_set_that_it_allows(database: Database) -> None:
+    store(database, MINE)
+    first = run(database, submit_checked(database, SEARCH), ComputedBackend(driven=_driven))
+    least = float(present(first.best).parameters["b"]) + 0.1
+    store(database, MINE | {"constraints": [f"b >= {least}"]})
+    again = submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}, problem="mine"), None)
+    (begun,) = again.spec["optimizer"]["start_sets"]
+    assert begun["b"] >= least

@@ -94,10 +94,8 @@ def test_a_cell_without_a_result_is_explained_as_failed(database: Database) -> N
     space = [EXPERT_SPACE[1], {**EXPERT_SPACE[8], "step": 0.1}]
     rest = {parameter["name"]: 0.5 for parameter in EXPERT_SPACE if parameter["name"] not in {"P2", "P9"}}
     changes: dict[str, Any] = {"parameters": space, "fixed": rest, "reduction": {"audit": 0.0}}
-    campaign = run(
-        database, submit(database, stored_map=post_map(database, TRUE_MAP), **changes), ComputedBackend(answer=fragile)
-    )
-    reasons = {(row.outcome is Outcome.FAILED, _explain(database, row).reason) for row in rows_of(database, campaign)}
+    ended = run(database, submit(database, stored_map=post_map(database, TRUE_MAP), **changes), ComputedBackend(answer=fragile))
+    reasons = {(row.outcome is Outcome.FAILED, _explain(database, row).reason) for row in rows_of(database, ended)}
     assert (True, "failed") in reasons
     assert {reason for failed, reason in reasons if failed} == {"failed"}
 

@@ -33,9 +33,7 @@ def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
             return completed
         with suppress(UnavailableError):
             completed += pool.poll(1.0)
-    raise AssertionError(
-        f"cells never came back: { ({tag: pool.held(tag) for tag in TAGS}) }; {pool.workers()}; {pool.trouble()}"
-    )
+    raise AssertionError(f"never back: { ({tag: pool.held(tag) for tag in TAGS}) }; {pool.workers()}; {pool.trouble()}")
 
 
 @dataclass

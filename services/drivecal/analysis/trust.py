@@ -464,7 +464,10 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
     if compared and not wrong_in:
         wrong, variants = (sum(getattr(row, name) for _, row in compared) for name in ("wrong", "compared"))
-        worst, upper = max(row.error_rate or 0.0 for _, row in compared), max(row.upper_95 or 0.0 for _, row in compared)
+        worst, upper = (
+            max(row.error_rate or 0.0 for _, row in compared),
+            max(1.0 if row.upper_95 is None else row.upper_95 for _, row in compared),
+        )
         yield verdict("map_validated", "green", wrong=wrong, variants=variants, worst=worst, upper=upper)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         yield verdict("map_unchecked", "amber")
@@ -477,16 +480,16 @@ def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
         then = ", and no lots were inspected"
         if _is_inspected(campaign):
             light, then = "amber", ": correct the map, or analyse again with more samples. Lots kept most wrong answers out"
-        if (rate.wrong and not _is_inspected(campaign)) or 2 * rate.rejected > rate.lots:
+        if rate.wrong and (not _is_inspected(campaign) or 2 * rate.rejected > rate.lots):
             yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=then)
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
         yield verdict("contradictions", "amber", _only(differing), groups=differing)
-    yield from _lots("reused", campaign.error_rate.values(), "audited")
+    yield from _lots("reused", campaign.error_rate.values())
 
 
 def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
-    yield from _lots("predicted", campaign.released.values(), "sampled")
+    yield from _lots("predicted", campaign.released.values())
     for study, row in rows:
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
@@ -501,10 +504,10 @@ def _only(figures: Mapping[str, object]) -> str | None:
     return next(iter(figures)) if len(figures) == 1 else None
 
 
-def _lots(kind: str, rates: Collection[ErrorRate | Released], samples: str) -> Iterator[ResultVerdict]:
-    counts = {name: sum(getattr(rate, name) for rate in rates) for name in ("lots", samples, "inspected", "rejected")}
+def _lots(kind: str, rates: Collection[ErrorRate | Released]) -> Iterator[ResultVerdict]:
+    counts = {name: sum(getattr(rate, name) for rate in rates) for name in ("lots", "sampled", "inspected", "rejected")}
     if counts["lots"]:
-        yield verdict("lots", "green", kind=kind, sampled=counts.pop(samples), **counts)
+        yield verdict("lots", "green", kind=kind, **counts)
 
 
 def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:

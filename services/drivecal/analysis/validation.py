@@ -301,23 +301,21 @@ def error_rates(
     counts: Iterable[AuditCount],
     scenarios: Iterable[str],
     contradictions: Mapping[str, int] | None = None,
-    lots: Mapping[str, tuple[int, int, int]] | None = None,
+    lots: Mapping[str, Mapping[str, int]] | None = None,
     released: Mapping[str, float] | None = None,
 ) -> dict[str, ErrorRate]:
-    """Returns the error rate of each scenario (Eq. 8: wrong / audited), with `contradictions` and `lots`: their number, cells, and
-    rejected ones.
+    """Returns the error rate of each scenario (Eq. 8: wrong / audited), with `contradictions` and counts of `lots`.
 
     `released` has upper limits of the share of wrong answers that lots released. Lots are sampled in different shares, so only audits
     without lots have a Clopper-Pearson interval."""
     by_scenario = {count.scenario: count for count in counts}
     rates: dict[str, ErrorRate] = {}
     for scenario in scenarios:
-        number, cells, rejected = (lots or {}).get(scenario, (0, 0, 0))
-        groups = (contradictions or {}).get(scenario, 0)
-        rate = ErrorRate(contradictions=groups, lots=number, inspected=cells, rejected=rejected)
+        inspected = (lots or {}).get(scenario, {})
+        rate = ErrorRate(contradictions=(contradictions or {}).get(scenario, 0), **inspected)
         count = by_scenario.get(scenario)
         if count is not None and count.audited:
-            upper = (released or {}).get(scenario) if number else rate_bounds(count.wrong, count.audited)[1]
+            upper = (released or {}).get(scenario) if rate.lots else rate_bounds(count.wrong, count.audited)[1]
             counted = {"audited": count.audited, "different": count.different, "wrong": count.wrong, "upper_95": upper}
             rate = rate.model_copy(update=counted)
         rates[scenario] = rate

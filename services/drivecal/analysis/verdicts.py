@@ -21,7 +21,7 @@ CONFIRMED = {
     "unconfirmed_failed": "Not confirmed: the best set's score in {copied:list} is still a copy, for its simulation failed; "
     "{tried:n set} tried.",
     "dismissed": "{dismissed:n set} dismissed on a prediction alone.",
-    "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have only scores of their own; {tried:n set} simulated again.",
+    "front_confirmed": "Confirmed by simulation: the {front:n set} of the front have scores of their own; {tried:n set} simulated again.",
     "front_untried": "Better sets may exist: others are believed to be on the front; no more than {tried:n set} (reduction.confirm) "
     "were tried.",
     "front_unconfirmed": "Not confirmed: {front_copied:,} of the {front:n set} of the front have copied scores; {tried:n set} "
@@ -44,8 +44,8 @@ SCORES = CONFIRMED | {
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
-    "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario, "
-    "where up to {upper:.1 %} may be (95 %).",
+    "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario; "
+    "more than {upper:.1 %} in any are unlikely (95 %).",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
     "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong{then}.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",

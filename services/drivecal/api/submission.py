@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from math import isclose
 from typing import Any
 
 from pydantic import BaseModel
 from sqlalchemy import Connection
 
+from drivecal.analysis.goals import SCORE
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.dependencies import Limits
 from drivecal.api.expectation import checked, checked_comparison, compared_map, refuse_without, stored_parts
@@ -102,7 +104,8 @@ def rerun(
     if used is not None and used.basis is not None and is_outdated(used, problem):
         document["sensitivity"] = used.basis["sensitivity"]  # made again, from stored runs if only ratings are others
         problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
-    if (best := _best_before(database, first, problem)) is not None:
+    best = None if others else _best_before(database, first, problem)
+    if best is not None:
         document["optimizer"] = {**document["optimizer"], "start_sets": [*document["optimizer"].get("start_sets", []), best]}
         problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     with database.transaction() as connection:
@@ -110,29 +113,31 @@ def rerun(
 
 
 def _best_before(database: Database, first: StoredCampaign, problem: CalibrationProblem) -> dict[str, Any] | None:
-    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets, has no room for it,
-    ranks sets as the first one did, or can rank none before it begins. Weights that moved must not lead to a worse set than is stored."""
-    chosen, theirs, wanted = problem.optimization, resolved_spec(first), problem.specification
-    is_scored, asked = (
-        theirs.evaluator == problem.bench.evaluator_id,
-        replace(theirs, weights=problem.weights, goals=problem.goals),
-    )
-    is_same = is_scored and asked == theirs and first.spec["problem"] == wanted.problem
-    if chosen is None or len(problem.start_sets) >= chosen.population or is_same:
+    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets or is to know none,
+    has no room for it, ranks sets as the first one did, or can rank none before it begins."""
+    chosen, wanted, weights = problem.optimization, problem.specification, problem.weights
+    if chosen is None or len(problem.start_sets) >= chosen.population or wanted.reduction.isolated:
+        return None
+    theirs = resolved_spec(first)
+    is_scored = theirs.evaluator == problem.bench.evaluator_id
+    alike = theirs.weights.keys() == weights.keys() and all(isclose(theirs.weights[name], weights[name]) for name in weights)
+    if is_scored and alike and first.spec["problem"] == wanted.problem:
         return None
     ranked: Sequence[EvaluatedSet] = ()
-    if is_scored:
+    if is_scored or SCORE not in {goal.value.key for goal in (*problem.goals.objectives, *problem.goals.bounds)}:
+        asked = replace(theirs, weights=weights, goals=problem.goals)
         ranked = StoredRanking(database, first, asked).sets.best_first()
-    else:
-        weights = ",".join(f"{name}={weight!r}" for name, weight in problem.weights.items())
+    elif problem.goals.is_weighted_score:
+        text = ",".join(f"{name}={weights.get(name, 0.0)!r}" for name in theirs.weights)
         with suppress(InvalidInputError):  # a learned score ranks nothing before the rerun
             score = f"{wanted.evaluator}@{wanted.problem}"
-            ranked = solution_pages(StoredRanking(database, first, theirs), weights, score).ranked
+            ranked = solution_pages(StoredRanking(database, first, theirs), text, score).ranked
     with database.read() as connection:
         sets = parameter_sets.load(connection, [each.parameter_set for each in ranked[:TRIED]])
-    shapes, space = problem.bench.bundle.manifest.shapes, problem.constraints
+    shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
     fits = (given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes) for each in ranked[:TRIED])
-    return next((dict(made.floats) for made in fits if made is not None), None)
+    best = next((made for made in fits if made is not None), None)
+    return None if best is None or best in problem.start_sets else dict(best.floats)
 
 
 def compare(

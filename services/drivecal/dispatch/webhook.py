@@ -6,6 +6,7 @@ the last attempt: after a crash before that it is posted again, with the same nu
 
 import logging
 import os
+import ssl
 import threading
 from collections.abc import Sequence
 from types import TracebackType
@@ -37,6 +38,7 @@ class Webhook:
     def __init__(self, database: Database, url: str, pauses: Sequence[float] = PAUSES) -> None:
         """`database` is fenced: a dispatcher that lost its office marks nothing as posted."""
         self._database, self._url, self._pauses = database, url, pauses
+        self._tls = ssl.create_default_context()  # knows the certificates of this system, unlike httpx
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="webhook", daemon=True)
 
@@ -83,11 +85,13 @@ class Webhook:
             if self._stopped.wait(pause):
                 return False
             try:  # redirects are not followed: a POST would become a GET without the document
-                with httpx.stream("POST", self._url, json=document, headers=AGENT, timeout=TIMEOUT_SECONDS) as answer:
+                with httpx.stream(
+                    "POST", self._url, json=document, headers=AGENT, timeout=TIMEOUT_SECONDS, verify=self._tls
+                ) as answer:
                     if answer.is_success:
                         return True
                     why = f"it answered {answer.status_code}"
-            except (httpx.HTTPError, httpx.InvalidURL, OSError, ValueError) as error:
+            except (httpx.HTTPError, httpx.InvalidURL, ImportError, OSError, ValueError) as error:  # ImportError: a SOCKS proxy
                 why = f"it was not reached ({type(error).__name__})"
         log.warning("the webhook did not take event %d of campaign %s: %s", event.id, document["campaign"]["id"], why)
         return True

@@ -108,12 +108,12 @@ def miss_probability(samples: int, change_rate: float) -> float:
 def tolerance_text(samples: int) -> str:
     """Returns a sentence about the influence that `auto` tolerates, how often it misses more, and how many samples miss half as often."""
     missed = miss_probability(samples, SEEN_RATE)
-    fewer = next(n for n in count(samples + 1) if missed < 0.01 or 2 * miss_probability(n, SEEN_RATE) <= missed)
+    more = next(n for n in count(samples + 1) if missed < 0.01 or 2 * miss_probability(n, SEEN_RATE) <= missed)
     return (
         f"threshold auto tolerates a change by the score's tolerance in {tolerated_changes(samples)} of {samples} effects: an "
         f"analysis misses a parameter that changes the score in {100 * SEEN_RATE:.0f} % of its steps with a probability of about "
         f"{100 * missed:.0f} %"
-        + (f", of {fewer} samples {100 * miss_probability(fewer, SEEN_RATE):.0f} %" if missed >= 0.01 else "")
+        + (f"; with {more} samples {100 * miss_probability(more, SEEN_RATE):.0f} %" if missed >= 0.01 else "")
     )
 
 

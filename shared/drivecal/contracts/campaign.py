@@ -99,7 +99,7 @@ class ErrorRate(Answer):
     """Results of the self-check in a scenario. Audited answers with any change are `different`, beyond the tolerance `wrong`.
 
     `contradictions` counts reference keys with different simulated scores, among the campaign's results and their references. Of the `lots`
-    of reused answers, with `inspected` cells in all, the `rejected` ones were simulated whole. `stopped` is always false.
+    of reused answers, with `inspected` cells and `sampled` ones, the `rejected` ones were simulated whole. `stopped` is always false.
 
     R_err is wrong / audited. Lots are sampled in different shares: with lots, R_err is no estimate for all answers. Without lots,
     `upper_95` is the upper end of the 95 % Clopper-Pearson interval of R_err; null before the first audit. With lots, it is a time-uniform
@@ -113,6 +113,7 @@ class ErrorRate(Answer):
     contradictions: int = 0
     lots: int = 0
     inspected: int = 0
+    sampled: int = 0
     rejected: int = 0
 
 

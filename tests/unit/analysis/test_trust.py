@@ -142,6 +142,7 @@ def test_reuse_without_lots_is_held_against_its_audits() -> None:
     assert {each.scenario: each.light for each in result if each.code == "audits_wrong"} == {"S2": "amber", "S3": "red"}
     assert "map_unchecked" in {each.code for each in result}
     rates = {"S2": ErrorRate(audited=9, wrong=4, lots=3, rejected=1), "S3": ErrorRate(audited=9, wrong=4, lots=3, rejected=2)}
+    rates["S4"] = ErrorRate(audited=9, lots=3, rejected=3)  # samples without a result
     inspected = trust(campaign(error_rate=rates)).verdicts
     assert {each.scenario: each.light for each in inspected if each.code == "audits_wrong"} == {"S3": "amber"}, (
         "lots inspect these"
@@ -298,12 +299,12 @@ def test_a_search_that_its_first_iteration_decided_is_amber(course: Any, given: 
 
 
 @pytest.mark.parametrize(
-    ("requested", "grid", "is_doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)]
+    ("requested", "grid", "doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)]
 )
-def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, is_doubted: bool) -> None:
+def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, doubted: bool) -> None:
     result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
-    assert ("stood_still" in result) is is_doubted
-    assert (result["seen"].numbers["asked"], result["seen"].light == "green") == (str(requested), not is_doubted)
+    assert ("stood_still" in result) is doubted
+    assert (result["seen"].numbers["asked"], result["seen"].light == "green") == (str(requested), not doubted)
 
 
 def test_what_a_search_did_not_see_is_never_green() -> None:

@@ -153,16 +153,14 @@ def test_an_array_has_one_axis_whichever_sizes_of_1_its_files_have(sizes: str, d
     assert (array.fault, array.axes, array.given) == (None, (index(5),), [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
-@pytest.mark.parametrize(
-    ("held", "chosen", "expected"), [(b"0", "true", b"1.0"), (b"1", "true", b"1"), (b"1.0", "false", b"0.0")]
-)
-def test_a_choice_that_a_base_has_as_a_number_stays_one(tmp_path: Path, held: bytes, chosen: str, expected: bytes) -> None:
+@pytest.mark.parametrize(("held", "chosen", "made"), [(b"0", "true", b"1.0"), (b"1", "true", b"1"), (b"1.0", "false", b"0.0")])
+def test_a_choice_that_a_base_has_as_a_number_stays_one(tmp_path: Path, held: bytes, chosen: str, made: bytes) -> None:
     base = tmp_path / "b.cdfx"
     written = cdfx.write([Characteristic("flag", 7.0, choices=cdfx.TRUTHS)])
     base.write_bytes(written.replace(b"<V>7.0", b"<V>" + held))
     flag = Characteristic("flag", chosen, choices=cdfx.TRUTHS)
-    assert carried(base, "cdfx", [flag]) == written.replace(b"<V>7.0", b"<V>" + expected)
-    assert [each.given for each in dcm.read(carried(base, "dcm", [flag]), "b.dcm").characteristics] == [float(expected)]
+    assert carried(base, "cdfx", [flag]) == written.replace(b"<V>7.0", b"<V>" + made)
+    assert [each.given for each in dcm.read(carried(base, "dcm", [flag]), "b.dcm").characteristics] == [float(made)]
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -90,7 +90,10 @@ def test_reuse_without_an_influence_map_is_not_checked() -> None:
     assert check_reuse(NOTHING, view, 3, ["S1", "S2"], {}) == {"S1": ErrorRate(), "S2": ErrorRate()}
 
 
-@pytest.mark.parametrize(("audited", "rejected", "notes"), [(50, 0, 0), (51, 0, 1), (51, 1, 2), (20, 1, 1), (100, 0, 1)])
-def test_lots_that_save_little_are_noted(audited: int, rejected: int, notes: int) -> None:
-    rates = {"S1": ErrorRate(audited=audited, lots=9, inspected=100, rejected=rejected), "S2": ErrorRate(audited=3)}
+@pytest.mark.parametrize(("sampled", "rejected", "notes"), [(50, 0, 0), (51, 0, 1), (51, 1, 2), (20, 1, 1), (0, 0, 0)])
+def test_lots_that_save_little_are_noted(sampled: int, rejected: int, notes: int) -> None:
+    rates = {
+        "S1": ErrorRate(audited=200, lots=9, inspected=100, sampled=sampled, rejected=rejected),
+        "S2": ErrorRate(audited=3),
+    }
     assert len(notes_on_lots(rates)) == notes

@@ -113,9 +113,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         assert wanted in printed
 
 
-def test_without_a_terminal_a_line_appears_now_and_then(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_terminal_lines_are_few(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=iter([0.0, 1.0, 2.0, 7.5, 13.0, 14.0]).__next__))
     lines = Lines()
     running = Campaign(id="0" * 32, name="mine", state="running", stage="calibration", spec={"optimizer": {"iterations": 10}})

@@ -99,20 +99,18 @@ def test_another_set_without_a_result_is_a_warning(write: Write) -> None:
     assert all("no mesh" in scenario["other"]["error"] for scenario in report["scenarios"])
 
 
-STATEFUL = (
-    "first = None\ndef evaluate(p, s):\n    global first\n    first = first or p['x']\n    return {'energy': 1.0 + first}\n"
-)
+KEEPS = "first = None\ndef evaluate(p, s):\n    global first\n    first = first or p['x']\n    return {'energy': 1.0 + first}\n"
 """Answers by the first set that its process got."""
 
 
 @pytest.mark.slow
 def test_state_kept_from_the_first_run_is_a_warning(write: Write) -> None:
-    code, report = check(write(STATEFUL))
+    code, report = check(write(KEEPS))
     assert (code, [scenario["repeats"] for scenario in report["scenarios"]]) == (0, [True, True])
     assert [scenario["other"]["alone"] for scenario in report["scenarios"]] == [False, False]
     assert [warning.split(":")[0] for warning in report["warnings"]] == ["city", "road"]
     assert all("new process" in warning for warning in report["warnings"])
-    unclaimed = check(write(STATEFUL, deterministic=False))[1]
+    unclaimed = check(write(KEEPS, deterministic=False))[1]
     assert ([scenario["other"]["alone"] for scenario in unclaimed["scenarios"]], unclaimed["warnings"]) == ([None, None], [])
 
 

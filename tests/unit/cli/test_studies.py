@@ -45,10 +45,8 @@ def test_a_study_that_is_being_made_is_followed(monkeypatch: pytest.MonkeyPatch)
     assert known(cast("Client", Busy(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1})) is ended
 
 
-@pytest.mark.parametrize(
-    ("state", "counts"), [("succeeded", True), ("cancelled", False), ("failed", False), ("running", False)]
-)
-def test_only_a_study_that_succeeded_is_known(state: str, counts: bool) -> None:
+@pytest.mark.parametrize(("state", "done"), [("succeeded", True), ("cancelled", False), ("failed", False), ("running", False)])
+def test_only_a_study_that_succeeded_is_known(state: str, done: bool) -> None:
     campaign = Campaign(id="0" * 32, name="study", state=state, spec={"robustness": {"delta": 0.1}})
     maker = known(cast("Client", Server(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1}))
-    assert (maker is campaign) == counts
+    assert (maker is campaign) == done

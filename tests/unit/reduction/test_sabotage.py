@@ -307,14 +307,16 @@ def test_audits_say_what_to_expect_of_a_reference() -> None:
 
 
 def test_contradictions_and_lots_stand_beside_the_audits() -> None:
-    rates = error_rates([AuditCount("S1", 10, 0, 0)], ["S1", "S2", "S3"], {"S2": 7}, {"S1": (3, 90, 0), "S3": (4, 80, 1)})
+    lots = {"S1": {"lots": 3, "inspected": 90, "sampled": 40}, "S3": {"lots": 4, "rejected": 1}}
+    rates = error_rates([AuditCount("S1", 10, 0, 0)], ["S1", "S2", "S3"], {"S2": 7}, lots)
     assert [rates[name].contradictions for name in ("S1", "S2", "S3")] == [0, 7, 0]
-    assert [(rate.lots, rate.inspected, rate.rejected) for rate in rates.values()] == [(3, 90, 0), (0, 0, 0), (4, 80, 1)]
+    counts = [(rate.lots, rate.inspected, rate.sampled, rate.rejected) for rate in rates.values()]
+    assert counts == [(3, 90, 40, 0), (0, 0, 0, 0), (4, 0, 0, 1)]
 
 
 def test_lots_have_the_limit_of_what_they_released_and_no_interval_over_unlike_samples() -> None:
     counts = [AuditCount(name, 278, 2, 2) for name in ("S1", "S2", "S3")]
-    lots = {"S1": (21, 400, 0), "S2": (1, 400, 1), "S3": (0, 0, 0)}
+    lots = {"S1": {"lots": 21}, "S2": {"lots": 1, "rejected": 1}, "S3": {}}
     rates = error_rates(counts, lots, lots=lots, released={"S1": 0.08})
     assert (rates["S1"].upper_95, rates["S2"].upper_95) == (0.08, None)
     assert rates["S3"].upper_95 == rate_bounds(2, 278)[1]

@@ -75,7 +75,7 @@ def test_tolerated_changes_are_a_binomial_quantile(n: int) -> None:
 def test_auto_misses_a_tenth_of_changed_steps_as_often_as_it_says(samples: int, probability: float) -> None:
     assert miss_probability(samples, 0.1) == pytest.approx(probability, abs=0.001)
     assert f"{100 * probability:.0f} %" in tolerance_text(samples)
-    named = [int(number) for number in re.findall(r"of (\d+) samples", tolerance_text(samples))]
+    named = [int(number) for number in re.findall(r"with (\d+) samples", tolerance_text(samples))]
     assert all(miss_probability(more, 0.1) <= probability / 2 < miss_probability(more - 1, 0.1) for more in named)
     assert len(named) == (probability > 0.01)
 

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -49,10 +50,9 @@ class Fmu:
             fmpy.extract(str(file), unzipdir=str(partly))
             partly.rename(unpacked)
         self.variables = {variable.name: variable for variable in self.model.modelVariables}
-        try:
-            self.described: Variables = parse_description((unpacked / "modelDescription.xml").read_bytes()) or {}
-        except InvalidInputError as error:
-            raise UnusableError(str(error)) from error
+        self.described: Variables = {}
+        with suppress(InvalidInputError):  # FMPy reads on; units and ranges are then not checked
+            self.described = parse_description((unpacked / "modelDescription.xml").read_bytes()) or {}
         self._slave = self._instantiated(unpacked)
         self._is_fresh = True
 
@@ -121,7 +121,7 @@ class Fmu:
             value = str(value)
         elif isinstance(value, str):
             value = self._item(name, value)
-        elif (wanted := wanted_by(self.described[name], value)) is not None:
+        elif name in self.described and (wanted := wanted_by(self.described[name], value)) is not None:
             raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: {wanted}")
         elif access not in NUMBERS:
             value = int(value)

@@ -96,7 +96,7 @@ def main() -> None:
         try:
             sys.stdout.write(f"{path}: {digest_of_path(Path(path))}\n")
         except OSError as error:
-            sys.exit(f"the input {path} cannot be read: {error.strerror}")
+            sys.exit(f"the input {path} cannot be read: {error.filename}: {error.strerror}")
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ The rows are authoritative. A sample is drawn after the lot is committed, by the
 nor verdict.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -200,10 +200,10 @@ def check_reuse(
     audits.settle(connection, campaign, StageName.CALIBRATION, iteration, rater, scale)
     contradictions = audits.contradictions(connection, campaign, view.influence_map_sequence, rater, view.watermark, scale)
     concluded = [lot for lot in lots.of_campaign(connection, campaign, Outcome.REUSED) if lot.verdict is not None]
-    inspected: dict[str, tuple[int, int, int]] = {}
+    inspected: dict[str, Counter[str]] = defaultdict(Counter)
     for lot in concluded:
-        number, cells, rejected = inspected.get(lot.scenario, (0, 0, 0))
-        inspected[lot.scenario] = number + 1, cells + lot.size, rejected + (lot.verdict is LotVerdict.REJECTED)
+        is_rejected = lot.verdict is LotVerdict.REJECTED
+        inspected[lot.scenario].update(lots=1, inspected=lot.size, sampled=lot.sample, rejected=is_rejected)
     counts, bounds = audits.count(connection, campaign, rater, scale), _most_wrong(connection, campaign, concluded)
     rates = error_rates(counts, scenarios, contradictions, inspected, bounds)
     for scenario, rate in rates.items():
@@ -226,9 +226,9 @@ def notes_on_lots(rates: Mapping[str, ErrorRate]) -> list[str]:
     """Returns notes on scenarios with rejected lots of references, and on lots so small that their samples are most of them."""
     rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
     why = "lots of reused answers had too many wrong samples, so every cell of them was simulated"
-    audited, inspected = (sum(getattr(rate, name) for rate in rates.values() if rate.lots) for name in ("audited", "inspected"))
+    sampled, inspected = (sum(getattr(rate, name) for rate in rates.values()) for name in ("sampled", "inspected"))
     small = (
-        f"{audited:,} of {inspected:,} cells that the influence map could answer were simulated as samples of their lots, which are too"
+        f"{sampled:,} of {inspected:,} cells that the influence map could answer were simulated as samples of their lots, which are too"
         " small to save more: larger populations or a larger `max_error` (docs: reuse) leave more to copy"
     )
-    return ([f"{why}: {', '.join(rejected)}"] if rejected else []) + ([small] if 2 * audited > inspected > 0 else [])
+    return ([f"{why}: {', '.join(rejected)}"] if rejected else []) + ([small] if 2 * sampled > inspected else [])

@@ -284,10 +284,10 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)
     diagnostics.raise_if_any()
-    cells, first = problem.search_simulations(), max(1, population or 0) * len(problem.scenarios)
-    if cells is not None and cells < (len(problem.scenarios) if population is None else first + 1):
-        what = "a set takes one in each scenario" if population is None else f"a population of {population:,} sets may take all"
-        notes += (f"the search may take {cells:,} simulations, and {what}: {first:,}",)
+    cells, first = problem.search_simulations(), max(1, population or 0) * problem.least_replicates * len(problem.scenarios)
+    if cells is not None and (cells < first if population is None else cells <= first):
+        what = "a set takes" if population is None else f"its first population of {population:,} sets may take"
+        notes += (f"the search may take {cells:,} simulations, and {what} {first:,}",)
     return replace(problem, notes=(*notes, *diagnostics.notes, *problem.doubts_about_map()))
 
 

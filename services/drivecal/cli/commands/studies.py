@@ -214,7 +214,7 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any],
         ],
     )
     typer.echo(vehicles_text(settings, len(rows), rows[0].replicates))
-    if len(rows) < settings["solutions"] + len(settings.get("sets") or ()):
+    if not settings.get("sets") and len(rows) < settings["solutions"]:
         typer.echo("No further set is as good as the best one; `robustness.sets` in a campaign file examines others.")
     for row in (each for each in rows if each.recommended):
         typer.echo(f"recommended: rank {row.rank}, because it has {row.reason}")

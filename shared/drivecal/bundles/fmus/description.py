@@ -135,6 +135,10 @@ class _Reader:
             self._scalar = None
         elif tag in _TYPES and "valueReference" in attributes:
             self._variables.append((tag, dict(attributes)))
+        elif tag == "Alias" and self._variables:  # of FMI 3: another name of the variable around it
+            kind, owner = self._variables[-1]
+            self._variables.append((kind, {**owner, "name": attributes.get("name", "")}))
+            self._arrays |= {len(self._variables) - 1} if len(self._variables) - 2 in self._arrays else set()
         elif tag == "Dimension" and self._variables:
             self._arrays.add(len(self._variables) - 1)
         else:

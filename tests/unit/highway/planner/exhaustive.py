@@ -13,10 +13,8 @@ from drivecal.plugins.ports import Observation
 def costs_of(lateral: Floats, longitudinal: Floats, combined: Floats, w: Floats) -> Floats:
     """Returns J of all candidates, shape (n_longitudinal, n_lateral); features: as from `considered`."""
     along = w[0] * longitudinal[0] + w[1] * longitudinal[1]
-    aside = (
-        w[0] * lateral[0] + w[1] * lateral[1] + w[3] * lateral[2] + w[5] * lateral[3] + w[6] * lateral[4] + w[9] * lateral[5]
-    )
-    costs: Floats = along[:, None] + aside
+    cost = w[0] * lateral[0] + w[1] * lateral[1] + w[3] * lateral[2] + w[5] * lateral[3] + w[6] * lateral[4] + w[9] * lateral[5]
+    costs: Floats = along[:, None] + cost
     for row, column in enumerate((0, 2, 4, 7, 8, 10, 11)):
         costs = costs + w[column] * combined[row]
     return costs
