@@ -128,7 +128,7 @@ def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_ru
     first = _run(database, sensitivity=None, optimizer={"kind": "random", "population": 6, "iterations": 1})
     with database.read() as connection:
         row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
-    wanted = EvaluationSpecification(parameters=numbers(row.parameters), scenario="S1", evaluator="strict")
+    wanted = EvaluationSpecification(parameters={**numbers(row.parameters)}, scenario="S1", evaluator="strict")
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)
     assert (ended.cells.repeated, ended.cells.simulated, backend.sent) == (1, 0, [])

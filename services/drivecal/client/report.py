@@ -82,10 +82,7 @@ def _asked(campaign: Campaign, answers: dict[str, str]) -> Iterator[str]:
 def _pages(path: str, answers: dict[str, str]) -> Iterator[str]:
     """Yields the path of each page of a list."""
     query: dict[str, str | int] = {"limit": MOST}
-    while True:
+    while query.get("cursor", "") is not None:
         page = f"{path}?{urlencode(query)}"
         yield page
-        cursor = json.loads(answers[page])["next_cursor"]
-        if cursor is None:
-            return
-        query["cursor"] = cursor
+        query["cursor"] = json.loads(answers[page])["next_cursor"]

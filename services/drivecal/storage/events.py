@@ -39,10 +39,8 @@ def add(connection: Connection, campaign_sequence: int, kind: EventKind, data: M
         connection.execute(held.with_for_update(key_share=True))  # not in the way of rows that only refer to the campaign
     values = {"campaign_sequence": campaign_sequence, "kind": kind, "data": dict(data or {}), "created_at": now()}
     if kind in POSTED:
-        is_campaign = campaigns.c.kind != "evaluation"
-        values["unposted"] = (
-            select(case((is_campaign, True))).where(campaigns.c.sequence == campaign_sequence).scalar_subquery()
-        )
+        posted = campaigns.c.kind != "evaluation"
+        values["unposted"] = select(case((posted, True))).where(campaigns.c.sequence == campaign_sequence).scalar_subquery()
     connection.execute(insert(events).values(values))
 
 

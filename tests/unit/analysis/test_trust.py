@@ -298,13 +298,11 @@ def test_a_search_that_its_first_iteration_decided_is_amber(course: Any, given: 
     assert ("stood_still" in lights(campaign(**given), search=SearchCourse(stalled(*course), {}))) is is_doubted
 
 
-@pytest.mark.parametrize(
-    ("requested", "grid", "doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)]
-)
-def test_a_search_that_saw_nearly_all_sets_missed_little(requested: int, grid: int, doubted: bool) -> None:
-    result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, requested, grid))
+@pytest.mark.parametrize(("asked", "grid", "doubted"), [(54, 54, False), (48, 54, False), (30, 54, True), (9, 10**400, True)])
+def test_a_search_that_saw_nearly_all_sets_missed_little(asked: int, grid: int, doubted: bool) -> None:
+    result = verdicts(campaign(), search=SearchCourse(stalled(*[(6.0, 6.0)] * 5), {}, asked, grid))
     assert ("stood_still" in result) is doubted
-    assert (result["seen"].numbers["asked"], result["seen"].light == "green") == (str(requested), not doubted)
+    assert (result["seen"].numbers["asked"], result["seen"].light == "green") == (str(asked), not doubted)
 
 
 def test_what_a_search_did_not_see_is_never_green() -> None:

@@ -234,9 +234,7 @@ def _vehicle(
     if vehicle.name != model_of(own):
         _check_parameters(wanted.parameters, vehicle.name, known, diagnostics)
         return vehicle.parameters, nominal | wanted.parameters, known
-    changes = (
-        {} if isinstance(own, str) else {name: value for name, value in own.items() if value is not None and name in known}
-    )
+    changes = {} if isinstance(own, str) else {name: each for name, each in own.items() if each is not None and name in known}
     varied = manifest.varied_parameters
     known |= {each.name: each for each in varied}
     _check_parameters(wanted.parameters, vehicle.name, known, diagnostics)

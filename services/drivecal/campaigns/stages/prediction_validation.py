@@ -61,10 +61,8 @@ class PredictionValidation(StudyStage):
         with database.read() as connection:
             source = campaigns.get(connection, wanted.of)
             stored = results.released(connection, source.sequence)
-            inspected = [
-                lot for lot in lots.of_campaign(connection, source.sequence, Outcome.PREDICTED) if lot.verdict is not None
-            ]
-        self._inspected = {name: sum(lot.size for lot in inspected if lot.scenario == name) for name in problem.scenarios}
+            done = [lot for lot in lots.of_campaign(connection, source.sequence, Outcome.PREDICTED) if lot.verdict is not None]
+        self._inspected = {name: sum(lot.size for lot in done if lot.scenario == name) for name in problem.scenarios}
         self._reduction = specification_of(source).reduction
         self._released = {name: [cell for cell in stored if cell.scenario == name] for name in problem.scenarios}
         self._drawn = {name: _drawn(cells, wanted.samples, wanted.seed) for name, cells in self._released.items()}

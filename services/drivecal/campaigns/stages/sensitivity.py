@@ -76,9 +76,7 @@ class Sensitivity(Stage):
             data = {"phase": done.number, "name": done.name, **counts.model_dump(exclude={"proposed", "pending"})}
             events.add(connection, sequence, EventKind.PHASE, data)
             return
-        events.add(
-            connection, sequence, EventKind.STAGE, {"stage": StageName.SENSITIVITY, "cells": self._expected.sensitivity_at_most}
-        )
+        events.add(connection, sequence, EventKind.STAGE, {"stage": self.name, "cells": self._expected.sensitivity_at_most})
         for note in self._problem.notes:
             events.add(connection, sequence, EventKind.NOTE, {"text": note})
 

@@ -211,10 +211,9 @@ def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[Cam
         raise typer.BadParameter("give a campaign's ID, or --tag TAG of several")
     if identifier is not None:
         return [client.campaign(identifier)]
-    page = client.campaigns(limit=PAGE, tags=[tag or ""])
-    chosen = list(page.items)
-    while page.next_cursor is not None:
-        page = client.campaigns(limit=PAGE, tags=[tag or ""], cursor=page.next_cursor)
+    chosen, page = list[Campaign](), None
+    while page is None or page.next_cursor is not None:
+        page = client.campaigns(limit=PAGE, tags=[tag or ""], cursor=page.next_cursor if page else None)
         chosen += page.items
     if not chosen:
         raise NotFoundError("campaign with the tag", tag or "")

@@ -423,7 +423,5 @@ def _front(road: HighwayRoad, placed: Placed, length: float, field: str) -> tupl
     beyond = position - end
     if beyond > LARGEST_BEYOND and not isinstance(placed, Ego):  # the ego vehicle is put to its place after each step
         message = f"the vehicle's front would be {beyond:.2f} m beyond the end of the lane {name}, where SUMO cannot put it"
-        raise InvalidInputError(
-            Problem(f"{field}.s", message, f"give at most {placed.s - beyond:.2f}, or a place behind the junction")
-        )
+        raise InvalidInputError(Problem(f"{field}.s", message, f"give at most {placed.s - beyond:.2f}, or behind the junction"))
     return name, min(position, end)
