@@ -94,7 +94,7 @@ class CalibrationProblem:
         return reduction.model_copy(update={"mode": mode})
 
     def doubts_about_map(self) -> tuple[str, ...]:
-        """Returns notes if the influence map answers no cell of a search by the cell, and if its analysis does not pay to the end of it."""
+        """Returns notes if the influence map answers few cells, or none of a search by the cell, and if its analysis does not pay."""
         if self.optimization is None or not self.specification.reduction.uses_map:
             return ()
         runs, limit, notes = self.expected_runs(), self.specification.reduction.max_error, []
