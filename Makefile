@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean
+.PHONY: help install demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 # Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
@@ -15,6 +15,8 @@ help: ## list the targets
 
 $(INSTALLED): pyproject.toml deploy/requirements.lock deploy/install.sh
 	@deploy/install.sh
+
+install: $(INSTALLED) ## install everything from the lock file into .venv
 
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
