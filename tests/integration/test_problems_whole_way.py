@@ -1,6 +1,6 @@
 """Problems of users' own, the whole way: pushed, calibrated on real workers, killed, resumed, and rated anew under another score."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,8 +103,8 @@ def test_an_example_is_killed_resumed_and_rated_anew(name: str, calibrated: tupl
     rated = client.wait(client.rerun(whole.id, changes | {"evaluator": "anew"}).id)
     assert rated.spec["problem"] == again.digest
     assert (rated.cells.simulated, rated.cells.repeated) == (0, OPTIMIZER["population"] * len(manifest["scenarios"]))
-    before = by_cell(client, whole.id)
-    for cell, row in by_cell(client, rated.id).items():
+    before = by_cell(client, whole.id, manifest["parameters"])  # the rerun begins with the best set of all iterations
+    for cell, row in by_cell(client, rated.id, manifest["parameters"]).items():
         assert row[f"measure_{measure}"] == before[cell][f"measure_{measure}"]
         value = 2 * row[f"measure_{measure}"] + 1 if row["failure"] is None else 99
         assert row["score"] == min(value, 99), "nothing is worth less than a failed run"
@@ -115,10 +115,10 @@ def test_an_example_is_killed_resumed_and_rated_anew(name: str, calibrated: tupl
     assert (other.cells.repeated, other.cells.simulated) == (0, rated.cells.repeated)
 
 
-def by_cell(client: Client, campaign: str) -> dict[tuple[int, str], dict[str, Any]]:
-    """The first generation of a campaign with its measures, by individual and scenario."""
-    table = client.evaluations(campaign, measures="true", where=["iteration=0"]).to_arrow().to_pylist()
-    return {(row["individual"], row["scenario"]): row for row in table}
+def by_cell(client: Client, campaign: str, names: Iterable[str]) -> dict[tuple[Any, ...], dict[str, Any]]:
+    """The cells of a search with their measures, by set and scenario."""
+    table = client.evaluations(campaign, measures="true").to_arrow().to_pylist()
+    return {(*(row[name] for name in names), row["scenario"]): row for row in table}
 
 
 def test_an_upgrade_of_a_tool_outside_of_the_files_reuses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -146,7 +146,7 @@ def test_a_rerun_with_equal_weights_simulates_nothing(database: Database, limit:
 
 RANGES = {name: {"lower": 0, "upper": 1, "step": 0.01} for name in ("a", "b")}
 SCORES = {name: {"formula": of, "direction": "minimise", "range": [0, 10]} for name, of in (("cost", "y"), ("other", "z"))}
-OPTIMIZER = {"kind": "random", "population": 30, "iterations": 2}
+OPTIMIZER = {"kind": "random", "population": 4, "iterations": 15}
 SEARCH: dict[str, Any] = {"problem": "mine", "sensitivity": None, "optimizer": OPTIMIZER}
 MINE = scored("mine", RANGES, baseline={"a": 0.5, "b": 1}) | {"measures": {"y": "1", "z": "1"}, "scores": SCORES}
 
@@ -165,6 +165,7 @@ def _driven(setup: Setup, cell: Cell) -> CellResult:
         ({"objectives": [{"score": "cost"}], "reduction": {"mode": "exact"}}, {"evaluator": "other"}, (None, None)),
         ({"weights": {"city": 0.7, "road": 0.1}}, {"weights": {"city": 7}, "optimizer": {"seed": 5}}, None),
         ({"reduction": {"isolated": True}}, {"weights": {"city": 9}}, None),
+        ({"optimizer": {"kind": "random", "population": 30, "iterations": 1}}, {"weights": {"city": 9}}, None),
     ],
 )
 def test_a_rerun_of_populations_begins_with_the_best_stored_set(

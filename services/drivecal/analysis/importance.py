@@ -20,9 +20,10 @@ RESAMPLED = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Importances:
-    """The fall of R² on held-out sets when a parameter's values are shuffled among them. `mean` and `deviation`, shape (n_parameters,), are
-    over the repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if
-    the forest predicts the held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
+    """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: its total effect as a share of their
+    variation (Jansen 1999), where the forest predicts them. `mean` and `deviation`, shape (n_parameters,), are over the repetitions.
+    `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if the forest predicts the
+    held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
     deviation: Floats
@@ -55,8 +56,8 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         shuffled = np.tile(features[judged], (REPEATS, 1, 1))
         shuffled[:, :, column] = [generator.permutation(features[judged, column]) for _ in range(REPEATS)]
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
-        losses[column] = undisturbed - _r2(predicted, values[judged])
-        added[column] = ((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2
+        losses[column] = (undisturbed - _r2(predicted, values[judged])) / 2
+        added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
     lower, upper = _interval(added, values[judged], generator)
     return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
 

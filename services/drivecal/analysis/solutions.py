@@ -402,6 +402,8 @@ class Ranking:
                 self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
         probabilities, bounds = known.probabilities(), known.bounds(confidence)
+        if any(bound.rate is not None for bound in self._goals.bounds):  # rates rank first
+            probabilities = np.full_like(probabilities, np.nan)
         ahead, halves = known.ahead(leader), known.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]

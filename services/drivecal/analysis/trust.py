@@ -322,21 +322,24 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
         if CampaignState(campaign.state).ended:
             yield verdict("baseline_without_result", "amber")
         return
-    gain = campaign.baseline.gain
+    if failing := [name for name, score in campaign.baseline.scores.items() if score == campaign.scale.failed]:
+        yield verdict("baseline_fails", "neutral", scenarios=failing, failed=campaign.scale.failed)
+    gain, under = campaign.baseline.gain, " under the seeds that report both"
     if gain is None:
+        under = ""
         gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     undecided = campaign.baseline.undecided or campaign.best.undecided
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif campaign.baseline.close:
-        yield verdict("baseline_in_interval", "neutral", gain=gain)
+        yield verdict("baseline_in_interval", "neutral", gain=gain, under=under)
     elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
         yield verdict("not_better", "amber")
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
-        yield verdict("alike_baseline", "neutral", gain=gain, tolerance=tolerance)
+        yield verdict("alike_baseline", "neutral", gain=gain, under=under, tolerance=tolerance)
     else:
-        yield verdict("better_than_baseline", "green", gain=gain)
+        yield verdict("better_than_baseline", "green", gain=gain, under=under)
 
 
 def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVerdict]:
@@ -380,7 +383,7 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
     """Yields what ended a search with a budget. Its rounds are no generations, so that the paper's criteria say nothing."""
-    if campaign.ended_by is not None and course:
+    if campaign.ended_by not in {None, "cancelled"} and course:
         best = [each.best for each in course]
         share = last_change(best) / len(course)
         stood = campaign.ended_by == "stagnation"  # for as long as its user chose
@@ -464,10 +467,8 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
     if compared and not wrong_in:
         wrong, variants = (sum(getattr(row, name) for _, row in compared) for name in ("wrong", "compared"))
-        worst, upper = (
-            max(row.error_rate or 0.0 for _, row in compared),
-            max(1.0 if row.upper_95 is None else row.upper_95 for _, row in compared),
-        )
+        worst, uppers = max(row.error_rate or 0.0 for _, row in compared), [row.upper_95 for _, row in compared]
+        upper = max(1.0 if each is None else each for each in uppers)
         yield verdict("map_validated", "green", wrong=wrong, variants=variants, worst=worst, upper=upper)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         yield verdict("map_unchecked", "amber")
@@ -517,7 +518,9 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
-    cells = campaign.cells
+    cells, best = campaign.cells, campaign.best
+    if best is not None and best.failure_interval is not None and not best.failures:
+        yield verdict("failures_unseen", "neutral", most=best.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)

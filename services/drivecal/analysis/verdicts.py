@@ -56,6 +56,7 @@ SCORES = CONFIRMED | {
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
     "noise_unknown": "The simulator is random, and too few sets ran under several seeds: other seeds may give other scores and another "
     "order of sets. A larger budget, or more `replicates.most`, leaves runs to tell.",
+    "failures_unseen": "No run of the best set failed; up to {most:.1 %} may (95 %), and its interval counts none.",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
     "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "
@@ -69,9 +70,10 @@ SCORES = CONFIRMED | {
 BASELINE = {
     "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
-    "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}.",
-    "alike_baseline": "The best set is better than the baseline, by {gain:.4g}, within the tolerance of {tolerance}.",
-    "baseline_in_interval": "Runs do not tell the best set from the baseline: a gain of {gain:.4g} in the mean; `drivecal check` compares "
+    "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}{under}.",
+    "baseline_fails": "The baseline scores as a failed run in {scenarios:list}: a gain depends on what that is worth ({failed:g}).",
+    "alike_baseline": "The best set is better than the baseline, by {gain:.4g}{under}, within the tolerance of {tolerance}.",
+    "baseline_in_interval": "Runs do not tell the best set from the baseline: a gain of {gain:.4g}{under}; `drivecal check` compares "
     "them under more seeds.",
     "not_better": "No set is better than the baseline.",
     "baseline_without_result": "Nothing tells whether the best set is better than the baseline, which has no objective.",

@@ -34,6 +34,8 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
+DRAWN_BY = ("kind", "seed", "population", "start")
+"""Settings that, with the space, decide a start population: it has the best set if the first campaign's had it."""
 TRIED = 1_000
 """Best sets of a campaign among which one is looked for that its rerun's ranges and constraints allow."""
 
@@ -135,24 +137,25 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     with database.read() as connection:
         sets = parameter_sets.load(connection, [each.parameter_set for each in ranked[:TRIED]])
     shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
-    fits = (given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes) for each in ranked[:TRIED])
-    best = next((made for made in fits if made is not None), None)
-    return None if best is None or best in problem.start_sets else dict(best.floats)
+    made = ((each, given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes)) for each in ranked[:TRIED])
+    place, best = next(((each.iteration, fitting) for each, fitting in made if fitting is not None), (0, None))
+    own, again = first.spec["optimizer"] or {}, {} if wanted.optimizer is None else wanted.optimizer.model_dump()
+    is_drawn_again = not problem.constraints and all(own.get(name) == again.get(name) for name in DRAWN_BY)
+    is_drawn_again &= (first.resolution or {}).get("space") == problem.resolution()["space"]
+    return None if best is None or best in problem.start_sets or (place == 0 and is_drawn_again) else dict(best.floats)
 
 
-def compare(
-    database: Database, limits: Limits, specification: ComparisonSpecification, key: str, owner: str | None = None
-) -> str:
+def compare(database: Database, limits: Limits, wanted: ComparisonSpecification, key: str, owner: str | None = None) -> str:
     """Queues the campaigns of a comparison, all or none, and returns their tag. Each has a key of its own, made of the Idempotency-Key
     `key`: the same request queues none again as long as one of them is not deleted.
 
     Raises InvalidInputError if one cannot run, TooLargeError, and OverloadError if the queue has no room for all.
     """
-    asked, key = Asked.of("comparisons", specification, None, owner), admission.key_of(owner, key)
-    keys, tag = keys_of(specification, key), tag_of(specification.name, key)
+    asked, key = Asked.of("comparisons", wanted, None, owner), admission.key_of(owner, key)
+    keys, tag = keys_of(wanted, key), tag_of(wanted.name, key)
     if accepted_before(database, asked.digest, *keys) is not None:
         return tag
-    problem = checked_comparison(database, limits, specification)
+    problem = checked_comparison(database, limits, wanted)
     with database.transaction() as connection:
         admission.alone(connection)
         if admission.earlier(connection, asked.digest, *keys) is not None:

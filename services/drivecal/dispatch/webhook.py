@@ -4,15 +4,16 @@ A thread reads the stored events, so nothing waits for the listener. An event is
 the last attempt: after a crash before that it is posted again, with the same number.
 """
 
+import http.client
+import json
 import logging
 import os
-import ssl
 import threading
+import urllib.error
+import urllib.request
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Self
-
-import httpx
 
 from drivecal.domain.errors import SupersededError, UnavailableError
 from drivecal.storage import campaigns, events, processes
@@ -26,10 +27,12 @@ EVERY_SECONDS, AFTER_FAULT_SECONDS, TIMEOUT_SECONDS = 1.0, 60.0, 10.0
 PAUSES = (1.0, 5.0, 25.0)
 """Seconds before each further attempt; after the last one the event is given up."""
 
-AGENT = {"User-Agent": "drivecal"}
-
 log = logging.getLogger(__name__)
-logging.getLogger("httpx").setLevel(logging.WARNING)  # it logs the URL of each request
+
+
+class _NoRedirects(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: Any) -> None:
+        """Refuses redirects: a POST would become a GET without the document."""
 
 
 class Webhook:
@@ -38,7 +41,7 @@ class Webhook:
     def __init__(self, database: Database, url: str, pauses: Sequence[float] = PAUSES) -> None:
         """`database` is fenced: a dispatcher that lost its office marks nothing as posted."""
         self._database, self._url, self._pauses = database, url, pauses
-        self._tls = ssl.create_default_context()  # knows the certificates of this system, unlike httpx
+        self._opener = urllib.request.build_opener(_NoRedirects())
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="webhook", daemon=True)
 
@@ -80,18 +83,20 @@ class Webhook:
 
     def _deliver(self, event: StoredEvent) -> bool:
         """Returns whether an event was taken or is given up; False if the process ends first."""
-        document, why = self._document(event), ""
+        document = self._document(event)
+        body = json.dumps(document).encode()
+        headers = {"Content-Type": "application/json", "User-Agent": "drivecal"}
+        why = ""
         for pause in (0.0, *self._pauses):
             if self._stopped.wait(pause):
                 return False
-            try:  # redirects are not followed: a POST would become a GET without the document
-                with httpx.stream(
-                    "POST", self._url, json=document, headers=AGENT, timeout=TIMEOUT_SECONDS, verify=self._tls
-                ) as answer:
-                    if answer.is_success:
-                        return True
-                    why = f"it answered {answer.status_code}"
-            except (httpx.HTTPError, httpx.InvalidURL, ImportError, OSError, ValueError) as error:  # ImportError: a SOCKS proxy
+            request = urllib.request.Request(self._url, body, headers)  # noqa: S310  # the settings take http and https only
+            try:
+                with self._opener.open(request, timeout=TIMEOUT_SECONDS):
+                    return True
+            except urllib.error.HTTPError as error:
+                why = f"it answered {error.code}"
+            except (OSError, http.client.HTTPException, ValueError) as error:
                 why = f"it was not reached ({type(error).__name__})"
         log.warning("the webhook did not take event %d of campaign %s: %s", event.id, document["campaign"]["id"], why)
         return True

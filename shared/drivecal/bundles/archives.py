@@ -132,7 +132,7 @@ def remove(folder: Path) -> None:
 
 
 def files_of(archive: bytes, largest: int = LARGEST, most_files: int = MOST_FILES) -> dict[str, BundleFile]:
-    """Returns the files of an archive by name, in order of names. Raises InvalidInputError if it is damaged or unsafe."""
+    """Returns the files of an archive by name, in order, without a folder around all of them. Raises InvalidInputError if it is unsafe."""
     _check_directory(archive, largest, most_files)
     try:
         with zipfile.ZipFile(BytesIO(archive)) as opened:
@@ -142,6 +142,9 @@ def files_of(archive: bytes, largest: int = LARGEST, most_files: int = MOST_FILE
     except UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise _refused("", f"the archive cannot be read: {shown(reason, 200)}", "write the zip again") from error
+    top, mark, _ = next(iter(files), "").partition("/")
+    if f"{top}/{MANIFEST}" in files and all(name.startswith(top + mark) for name in files):  # of the folder, not of its content
+        return {name.removeprefix(top + mark): file for name, file in files.items()}
     return files
 
 

@@ -156,6 +156,9 @@ def test_validated_predictions_are_held_against_their_limit(beyond: int, lower: 
 
 
 def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
+    seeded = {"failures": 0, "failure_interval": (0.0, 0.07)}
+    assert lights(campaign(best=BEST.model_copy(update=seeded)))["failures_unseen"] == "neutral"
+    assert "failures_unseen" not in lights(campaign(best=BEST.model_copy(update=seeded | {"failures": 1})))
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
     result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
     assert result == {
@@ -201,6 +204,8 @@ def test_constraints_come_first() -> None:
     assert "constraints_kept" not in lights(campaign(best=broken), bounded=["max of y <= 2: 1"])
     assert lights(campaign(), bounded=["max of y <= 2: 1"])["constraints_kept"] == "green"
     assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
+    failing = before(4.0).model_copy(update={"scores": {"S1": 0.0, "S2": 4.0}})
+    assert verdicts(campaign(baseline=failing))["baseline_fails"].numbers["scenarios"] == ["S1"]
     unsure = BEST.model_copy(update={"violation": 0.0001, "undecided": True})
     assert "baseline_breaks_more" not in lights(campaign(best=unsure, baseline=before(4.0, violation=0.1)))
     undecided = before(4.0, violation=0.0009, undecided=True)
@@ -344,11 +349,9 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     assert result.numbers["values"] == {"P1": 0.5, "P2": 3.0}
     assert "at_ends" not in lights(campaign(best=best), search=SearchCourse([], {"P3": (0.0, 2.0)}))
     limits = {"P1": (None, ""), "P2": ("", "`upper: 3` of P2")}
-    limited = verdicts(campaign(best=best), search=SearchCourse([], ranges, titles={"P2": "P at 5 m"}, limits=limits))[
-        "at_ends"
-    ]
-    assert (limited.numbers["values"], limited.numbers["entries"]) == ({"P at 5 m": 3.0}, ["`upper: 3` of P2"])
-    assert ("`upper: 3` of P2 in `problem.yaml`" in limited.text, "problem.yaml" in result.text) == (True, False)
+    bound = verdicts(campaign(best=best), search=SearchCourse([], ranges, titles={"P2": "P at 5 m"}, limits=limits))["at_ends"]
+    assert (bound.numbers["values"], bound.numbers["entries"]) == ({"P at 5 m": 3.0}, ["`upper: 3` of P2"])
+    assert ("`upper: 3` of P2 in `problem.yaml`" in bound.text, "problem.yaml" in result.text) == (True, False)
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
     assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
 

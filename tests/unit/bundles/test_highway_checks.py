@@ -216,9 +216,7 @@ def test_vehicles_have_the_size_of_their_class(name: str) -> None:
     assert (longer.length, longer.width) == (9.0, size[1])
 
 
-PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder / "problem.yaml").read_text()) | {
-    "problem": "p"
-}
+PLAN: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder / "problem.yaml").read_text()) | {"problem": "p"}
 
 
 @pytest.mark.parametrize(
@@ -244,16 +242,16 @@ PLANNED: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder
     ],
 )
 def test_faults_of_planned_scenarios_are_named_by_field(path: str, value: object, field: str) -> None:
-    assert field in {problem.field for problem in faults_of(checked, with_change(PLANNED, path, value))}
+    assert field in {problem.field for problem in faults_of(checked, with_change(PLAN, path, value))}
 
 
 def test_the_planner_has_its_parameters_once_and_drives_tasks_only() -> None:
     values = dict.fromkeys(NAMES[1:], 1)
 
     def given(values: dict[str, int], **other: Any) -> dict[str, Any]:
-        simulator = PLANNED["simulator"] | {"controller": {"kind": "planner", "values": values}}
-        searched: dict[str, Any] = {"parameters": {"P1": PLANNED["parameters"]["P1"]}, "baseline": None, "constraints": []}
-        return PLANNED | searched | {"simulator": simulator} | other
+        simulator = PLAN["simulator"] | {"controller": {"kind": "planner", "values": values}}
+        searched: dict[str, Any] = {"parameters": {"P1": PLAN["parameters"]["P1"]}, "baseline": None, "constraints": []}
+        return PLAN | searched | {"simulator": simulator} | other
 
     def found(values: dict[str, int], **other: Any) -> set[str]:
         return faults(given(values, **other))

@@ -104,10 +104,8 @@ def test_the_bounds_are_those_of_the_whole_design(
             assert repr(parameter.overall) == repr(full.parameters[name].overall)  # NaN differs from itself
 
 
-def finished(
-    chosen: SensitivitySpecification, scores: dict[str, Score] = SCORES
-) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
-    analysis = SensitivityAnalysis(SPACE, list(scores), chosen)
+def finished(of: SensitivitySpecification, scores: dict[str, Score] = SCORES) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
+    analysis = SensitivityAnalysis(SPACE, list(scores), of)
     told = drive(analysis, scores)
     return analysis.result(), told
 

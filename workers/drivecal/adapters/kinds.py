@@ -34,6 +34,7 @@ EXTRAS = {"libsumo": "local", "numba": "local", "fmpy": "fmu"}
 """Extra of drivecal that installs a module."""
 
 Section = Mapping[str, Any]
+Data = Mapping[str, Any]
 Start = Callable[[Section, str, Mapping[str, Any], Scratch, Declared], SimulatorSession]
 
 
@@ -42,9 +43,7 @@ class _Kind:
     version: str
     start: Start
 
-    def open(
-        self, section: Section, scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
-    ) -> SimulatorSession:
+    def open(self, section: Section, scenario: str, data: Data, folder: Path, declared: Declared) -> SimulatorSession:
         """Starts a simulator in a scratch folder with links to the bundle's files, which is removed if that fails."""
         scratch = Scratch(folder)
         try:
@@ -79,26 +78,20 @@ def _refuse_without(*packages: str) -> None:
             raise UnavailableError(f"this worker has no {package}; type: pip install 'drivecal[{EXTRAS[package]}]'")
 
 
-def _start_process(
-    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
-) -> SimulatorSession:
+def _start_process(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
     """Starts the program."""
     check_command(section["command"], scratch.work)
     return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
 
 
-def _start_command(
-    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
-) -> SimulatorSession:
+def _start_command(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
     """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
     del scenario
     check_command(section["command"], scratch.work)
     return CommandSession(section, scratch, declared, data=data)
 
 
-def _start_python(
-    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
-) -> SimulatorSession:
+def _start_python(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
     """Starts the interpreter and imports the function."""
     folder = scratch.bundle
     _refuse_missing(folder, (section["file"], section.get("wheels")))
@@ -112,9 +105,7 @@ def _start_python(
     return ProcessSession(command, section, scratch, declared, scenario=scenario, data=data, settings=settings)
 
 
-def _start_fmu(
-    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
-) -> SimulatorSession:
+def _start_fmu(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
     """Starts the child, which unpacks, checks and instantiates the FMU."""
     folder = scratch.bundle
     _refuse_missing(folder, (section["file"],))
@@ -135,9 +126,7 @@ def _start_fmu(
     )
 
 
-def _start_highway(
-    section: Section, scenario: str, data: Mapping[str, Any], scratch: Scratch, declared: Declared
-) -> SimulatorSession:
+def _start_highway(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
     """Starts the child, which reads the network, loads SUMO and starts the controller."""
     folder, controller = scratch.bundle, section["controller"]
     has_fmu = controller["kind"] == "fmu"

@@ -47,11 +47,9 @@ def map_rows(stored: StoredInfluenceMap) -> list[InfluenceRow]:
     ]
 
 
-def _row(
-    stored: StoredInfluenceMap, scenario: str, name: str, influence: Influence, parameter: Parameter | None
-) -> InfluenceRow:
+def _row(stored: StoredInfluenceMap, scenario: str, name: str, known: Influence, parameter: Parameter | None) -> InfluenceRow:
     entry: Mapping[str, Any] | None = stored.scenarios.get(scenario, {}).get(name)
-    influential, lower, upper = _bounds(influence, parameter)
+    influential, lower, upper = _bounds(known, parameter)
     space = {} if parameter is None else {"space_lower": parameter.lower, "space_upper": parameter.upper}
     return InfluenceRow.of(
         parameter,  # its unit and number of values
@@ -63,7 +61,7 @@ def _row(
         **{measure: None if entry is None else entry.get(measure) for measure in MEASURES},
         unknown=entry is None or entry.get("unknown", False),
         **space,
-        decided_by=_decided_by(stored, entry, outside=influence.influential and not influential),
+        decided_by=_decided_by(stored, entry, outside=known.influential and not influential),
     )
 
 
@@ -88,7 +86,7 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
     return True, lower, upper
 
 
-METHOD = f"permutation importance: loss of R² on a held-out {100 * HELD_OUT:.0f} %, by a forest of {TREES} extremely randomised trees"
+METHOD = f"permutation: half the loss of R² on a held-out {100 * HELD_OUT:.0f} %, by {TREES} extremely randomised trees"
 
 
 def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:

@@ -185,10 +185,8 @@ class CalibrationProblem:
         if wanted is None:
             return 0
         searched = self.optimization is not None or wanted.of is not None
-        solutions = len(self.robust_sets) + (wanted.solutions if searched else 0)
-        return (
-            solutions * len(self.scenarios) * ((wanted.samples if self.bench.is_random else 1) + wanted.steps * wanted.samples)
-        )
+        sets = len(self.robust_sets) + (wanted.solutions if searched else 0)
+        return sets * len(self.scenarios) * ((wanted.samples if self.bench.is_random else 1) + wanted.steps * wanted.samples)
 
     def _validation_runs(self) -> int:
         wanted = self.specification.validation

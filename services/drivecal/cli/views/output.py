@@ -128,13 +128,13 @@ def print_campaign(campaign: Campaign) -> None:
 
 
 def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
-    """Prints how long the simulations take at most, as far as it is known, and the notes."""
+    """Prints how long the most simulations take, as far as it is known, and the notes."""
     workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
     how = "measured" if expected.measured else "assumed: none was made yet"
     if expected.seconds is not None:
         each = f"{expected.milliseconds:.1f} ms of one per simulation, {how}"
         further = "planning, optimizers, predictions and starts of a simulator may take further time"
-        typer.echo(f"at most about {duration(expected.seconds)} on {workers} ({each}); {further}")
+        typer.echo(f"about {duration(expected.seconds)} on {workers} ({each}); {further}")
     elif expected.workers is None:
         typer.echo("the duration is unknown: there are no workers now")
     for note in expected.notes:
@@ -170,7 +170,9 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
         lower, upper = best.failure_interval
         yield f"{best.failures} of all its runs failed; by those that report it, {percent(lower, 1)} to {percent(upper, 1)} fail (95 %)"
     if best.noise:
-        yield "noise of a sound run: " + "  ".join(f"{name} {score_text(noise)}" for name, noise in best.noise.items())
+        yield "noise of a sound run, less what a seed does to all sets: " + "  ".join(
+            f"{name} {score_text(noise)}" for name, noise in best.noise.items()
+        )
 
 
 def _search_text(campaign: Campaign) -> str:
@@ -208,7 +210,9 @@ def print_importance(answer: ImportanceAnswer) -> None:
         ranked = sorted(answer.items, key=lambda item: -item.importance)
         rows = [[item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper))] for item in ranked]
         print_columns(["parameter", "importance", "95 % from", "to"], rows)
-        typer.echo(f"\nloss of R² when the parameter's values are shuffled; it matters from {answer.clear:g}")
+        typer.echo(
+            f"\nshare of the variation: half the loss of R² when its values are shuffled; it matters from {answer.clear:g}"
+        )
     for note in answer.notes:
         say(f"note: {note}")
 

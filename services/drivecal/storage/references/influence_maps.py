@@ -55,12 +55,10 @@ def insert(
     return record(StoredInfluenceMap, connection.execute(statement.returning(influence_maps)).one())
 
 
-def get(connection: Connection, influence_map_id: str) -> StoredInfluenceMap:
+def get(connection: Connection, map_id: str) -> StoredInfluenceMap:
     """A map by its id or its first characters. Raises NotFoundError."""
     query = select(influence_maps).where(influence_maps.c.id == bindparam("identifier"))
-    return record(
-        StoredInfluenceMap, identified(connection, query, "influence map", influence_map_id, select(influence_maps.c.id))
-    )
+    return record(StoredInfluenceMap, identified(connection, query, "influence map", map_id, select(influence_maps.c.id)))
 
 
 def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
