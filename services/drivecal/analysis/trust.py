@@ -377,6 +377,10 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
         if (limit := campaign.budget.get(unit)) is not None
     ]
+    if (
+        campaign.cells.repeated and _has_outlook(campaign) and "simulations" in campaign.budget
+    ):  # a search by the cell counts them
+        used.append(f"and {campaign.cells.repeated:,} answers that were stored, which count as well")
     if used:
         yield verdict("budget", "neutral", used=", ".join(used))
 

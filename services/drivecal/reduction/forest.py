@@ -31,7 +31,7 @@ class BaggedTrees:
 
     def __init__(self, tolerance: float = 0.0) -> None:
         self._tolerance = tolerance
-        self._agreeing = tolerance
+        self._alike = tolerance
         """Largest difference of agreeing scores: the tolerance, with room for rounding."""
         self._scores: Floats = np.empty(0)
         self._trees: list[ExtraTreeRegressor] = []
@@ -44,9 +44,7 @@ class BaggedTrees:
         """Grows trees on features, shape (n, k), and scores, shape (n,)."""
         random = np.random.default_rng(SEED)
         points = np.ascontiguousarray(features, dtype=np.float32)
-        self._agreeing = self._tolerance + grain(
-            *scores[[scores.argmin(), scores.argmax()]].tolist(), span=float(np.ptp(scores))
-        )
+        self._alike = self._tolerance + grain(*scores[[scores.argmin(), scores.argmax()]].tolist(), span=float(np.ptp(scores)))
         steps = np.rint((scores - scores.min()) / (float(np.ptp(scores)) or 1.0) * STEPS)
         self._scores, self._trees, drawn, leaves = scores, [], [], []
         with sklearn.config_context(skip_parameter_validation=True):
@@ -103,7 +101,7 @@ class Forest(BaggedTrees):
         unseen = self._drawn == 0
         known = unseen.any(axis=0)
         chosen, confidence = self._choose(self._shares(self._leaves[:, known], unseen[:, known]))
-        return confidence, np.abs(self._classes[chosen] - self._scores[known]) > self._agreeing
+        return confidence, np.abs(self._classes[chosen] - self._scores[known]) > self._alike
 
     def _shares(self, leaves: Indices, asked: Bools | None = None) -> Floats:
         """Returns the share of votes for each class of n sets in these leaves, shape (n, n_classes). `asked`: which tree has a vote."""
@@ -114,7 +112,7 @@ class Forest(BaggedTrees):
         return shares
 
     def _choose(self, votes: Floats) -> tuple[Indices, Floats]:
-        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._agreeing
+        near = np.abs(self._classes[:, None] - self._classes[None, :]) <= self._alike
         confidence = votes @ near
         best = np.argmax(confidence + 1e-6 * votes, axis=1)
         return best, confidence[np.arange(len(best)), best]
@@ -152,12 +150,12 @@ class RegressionForest(BaggedTrees):
         votes = np.where(self._drawn == 0, self._votes(self._leaves), np.nan)
         left_out = ~np.isnan(votes).all(axis=0)
         scores, confidence = self._choose(votes[:, left_out])
-        return confidence, np.abs(scores - self._scores[left_out]) > self._agreeing
+        return confidence, np.abs(scores - self._scores[left_out]) > self._alike
 
     def _choose(self, votes: Floats) -> tuple[Floats, Floats]:
         """Predicted scores and confidences for votes of shape (n_trees, n), NaN for trees without a vote."""
         scores: Floats = np.nanmedian(votes, axis=0)
-        agreeing = np.abs(votes - scores) <= self._agreeing  # a comparison with NaN is false
+        agreeing = np.abs(votes - scores) <= self._alike  # a comparison with NaN is false
         return scores, agreeing.sum(axis=0) / (~np.isnan(votes)).sum(axis=0)
 
 

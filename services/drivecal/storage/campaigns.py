@@ -272,16 +272,14 @@ IDS = listed([campaigns.c.id], None)
 """The ids of campaigns, which may be abbreviated. A single evaluation needs its whole id."""
 
 
-def change_labels(connection: Connection, campaign_id: str, changes: CampaignChanges) -> StoredCampaign:
+def change_labels(connection: Connection, campaign_id: str, new: CampaignChanges) -> StoredCampaign:
     """Changes labels, and returns the campaign. Of tags that are added and removed, none stays. The same labels again change nothing.
 
     Raises NotFoundError, and InvalidInputError for too many tags.
     """
     before = get(connection, campaign_id, lock=True)
-    name = before.name if changes.name is None else changes.name
-    tags = {*(before.tags if changes.tags is None else changes.tags), *(changes.add_tags or ())} - {
-        *(changes.remove_tags or ())
-    }
+    name = before.name if new.name is None else new.name
+    tags = {*(before.tags if new.tags is None else new.tags), *(new.add_tags or ())} - {*(new.remove_tags or ())}
     if len(tags) > max(MOST_TAGS, len(before.tags)):
         remedy = f"a campaign has at most {MOST_TAGS}; remove some of {sorted(before.tags)}"
         raise InvalidInputError(Problem("add_tags", f"the campaign would have {len(tags)} tags", remedy))
