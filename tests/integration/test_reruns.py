@@ -147,6 +147,7 @@ def test_a_rerun_with_equal_weights_simulates_nothing(database: Database, limit:
 RANGES = {name: {"lower": 0, "upper": 1, "step": 0.01} for name in ("a", "b")}
 SCORES = {name: {"formula": of, "direction": "minimise", "range": [0, 10]} for name, of in (("cost", "y"), ("other", "z"))}
 OPTIMIZER = {"kind": "random", "population": 4, "iterations": 15}
+CITY = {"weights": {"city": 9}}
 SEARCH: dict[str, Any] = {"problem": "mine", "sensitivity": None, "optimizer": OPTIMIZER}
 MINE = scored("mine", RANGES, baseline={"a": 0.5, "b": 1}) | {"measures": {"y": "1", "z": "1"}, "scores": SCORES}
 
@@ -160,12 +161,17 @@ def _driven(setup: Setup, cell: Cell) -> CellResult:
 @pytest.mark.parametrize(
     ("asked", "changes", "by"),
     [
-        ({}, {"weights": {"city": 9}}, ("city=9,road=1", None)),
+        ({}, CITY, ("city=9,road=1", None)),
         ({}, {"weights": {"road": 0}, "evaluator": "other"}, ("city=1,road=0", "other@mine")),
         ({"objectives": [{"score": "cost"}], "reduction": {"mode": "exact"}}, {"evaluator": "other"}, (None, None)),
         ({"weights": {"city": 0.7, "road": 0.1}}, {"weights": {"city": 7}, "optimizer": {"seed": 5}}, None),
-        ({"reduction": {"isolated": True}}, {"weights": {"city": 9}}, None),
-        ({"optimizer": {"kind": "random", "population": 30, "iterations": 1}}, {"weights": {"city": 9}}, None),
+        ({"reduction": {"isolated": True}}, CITY, None),
+        ({"optimizer": OPTIMIZER | {"population": 30, "iterations": 1}}, CITY, None),
+        (
+            {"optimizer": OPTIMIZER | {"start_sets": [{"a": 0, "b": 0}]}},
+            CITY | {"optimizer": {"start_sets": []}},
+            ("city=9", None),
+        ),
     ],
 )
 def test_a_rerun_of_populations_begins_with_the_best_stored_set(
@@ -173,11 +179,9 @@ def test_a_rerun_of_populations_begins_with_the_best_stored_set(
 ) -> None:
     store(database, MINE)
     first = run(database, submit_checked(database, SEARCH | asked), ComputedBackend(driven=_driven))
-    begun = submission.rerun(database, LIMITS, first.id, RerunSpecification(**{"weights": {}} | changes), None).spec[
-        "optimizer"
-    ]
+    again = submission.rerun(database, LIMITS, first.id, RerunSpecification(**{"weights": {}} | changes), None)
     ranked = by and solution_pages(StoredRanking(database, first, resolved_spec(first)), *by).solutions(0, 1)
-    assert begun["start_sets"] == [row.parameters for row in ranked or ()]
+    assert again.spec["optimizer"]["start_sets"] == [row.parameters for row in ranked or ()]
 
 
 def test_a_rerun_of_another_push_begins_with_a_set_that_it_allows(database: Database) -> None:

@@ -20,10 +20,10 @@ RESAMPLED = 1_000
 
 @dataclass(frozen=True, slots=True)
 class Importances:
-    """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: its total effect as a share of their
-    variation (Jansen 1999), where the forest predicts them. `mean` and `deviation`, shape (n_parameters,), are over the repetitions.
-    `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if the forest predicts the
-    held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
+    """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: the total effect of an independent parameter
+    as a share of their variation (Jansen 1999), where the forest predicts them. `mean` and `deviation`, shape (n_parameters,), are over the
+    repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if the forest
+    predicts the held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
     deviation: Floats

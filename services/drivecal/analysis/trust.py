@@ -322,8 +322,10 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
         if CampaignState(campaign.state).ended:
             yield verdict("baseline_without_result", "amber")
         return
-    if failing := [name for name, score in campaign.baseline.scores.items() if score == campaign.scale.failed]:
-        yield verdict("baseline_fails", "neutral", scenarios=failing, failed=campaign.scale.failed)
+    failed, scores = campaign.scale.failed, campaign.best.scores
+    failing = [name for name, score in campaign.baseline.scores.items() if score == failed != scores.get(name)]
+    if failing and campaign.objective is None:
+        yield verdict("baseline_fails", "neutral", scenarios=failing, failed=failed)
     gain, under = campaign.baseline.gain, " under the seeds that report both"
     if gain is None:
         under = ""
@@ -372,15 +374,13 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields how much of the budget is used."""
     if campaign.budget is None:
         return
+    stored = campaign.cells.repeated if _has_outlook(campaign) else 0  # a search by the cell counts them
+    further = {"simulations": f", and {stored:,} answers that were stored, which count as well"} if stored else {}
     used = [
-        f"{round(spent, 1):,} of {limit:,.12g} {unit}"
+        f"{round(spent, 1):,} of {limit:,.12g} {unit}{further.get(unit, '')}"
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
         if (limit := campaign.budget.get(unit)) is not None
     ]
-    if (
-        campaign.cells.repeated and _has_outlook(campaign) and "simulations" in campaign.budget
-    ):  # a search by the cell counts them
-        used.append(f"and {campaign.cells.repeated:,} answers that were stored, which count as well")
     if used:
         yield verdict("budget", "neutral", used=", ".join(used))
 

@@ -45,7 +45,7 @@ SCORES = CONFIRMED | {
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
     "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario; "
-    "more than {upper:.1 %} in any are unlikely (95 %).",
+    "in any, at most {upper:.1 %} are (95 %).",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
     "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong{then}.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
@@ -56,7 +56,7 @@ SCORES = CONFIRMED | {
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
     "noise_unknown": "The simulator is random, and too few sets ran under several seeds: other seeds may give other scores and another "
     "order of sets. A larger budget, or more `replicates.most`, leaves runs to tell.",
-    "failures_unseen": "No run of the best set failed; up to {most:.1 %} may (95 %), and its interval counts none.",
+    "failures_unseen": "No run of the best set failed; up to {most:.1 %} may (95 %), and the objective's interval counts none.",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
     "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "

@@ -25,7 +25,7 @@ from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
-from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
+from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
@@ -34,8 +34,6 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
-DRAWN_BY = ("kind", "seed", "population", "start")
-"""Settings that, with the space, decide a start population: it has the best set if the first campaign's had it."""
 TRIED = 1_000
 """Best sets of a campaign among which one is looked for that its rerun's ranges and constraints allow."""
 
@@ -123,7 +121,7 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     theirs = resolved_spec(first)
     is_scored = theirs.evaluator == problem.bench.evaluator_id
     alike = theirs.weights.keys() == weights.keys() and all(isclose(theirs.weights[name], weights[name]) for name in weights)
-    if is_scored and alike and first.spec["problem"] == wanted.problem:
+    if (is_scored and alike and first.spec["problem"] == wanted.problem) or not weights.keys() <= theirs.weights.keys():
         return None
     ranked: Sequence[EvaluatedSet] = ()
     if is_scored or SCORE not in {goal.value.key for goal in (*problem.goals.objectives, *problem.goals.bounds)}:
@@ -139,10 +137,20 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
     made = ((each, given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes)) for each in ranked[:TRIED])
     place, best = next(((each.iteration, fitting) for each, fitting in made if fitting is not None), (0, None))
-    own, again = first.spec["optimizer"] or {}, {} if wanted.optimizer is None else wanted.optimizer.model_dump()
-    is_drawn_again = not problem.constraints and all(own.get(name) == again.get(name) for name in DRAWN_BY)
-    is_drawn_again &= (first.resolution or {}).get("space") == problem.resolution()["space"]
-    return None if best is None or best in problem.start_sets or (place == 0 and is_drawn_again) else dict(best.floats)
+    is_there = best in problem.start_sets or (place == 0 and _is_drawn_again(database, first, wanted))
+    return None if best is None or is_there else dict(best.floats)
+
+
+def _is_drawn_again(database: Database, first: StoredCampaign, wanted: CampaignSpecification) -> bool:
+    """Returns whether the start population of a rerun is that of the first campaign."""
+    own, again = (
+        {**spec, "optimizer": {**spec["optimizer"], "iterations": 0}} for spec in (first.spec, wanted.model_dump(mode="json"))
+    )
+    with suppress(NotFoundError):
+        before, now_ = (stored_bundles(database)(spec["problem"]).manifest for spec in (own, again))
+        alike = all(getattr(before, name) == getattr(now_, name) for name in ("parameters", "constraints", "baseline"))
+        return alike and all(own.get(name) == again.get(name) for name in ("optimizer", "parameters", "fixed", "baseline"))
+    return False
 
 
 def compare(database: Database, limits: Limits, wanted: ComparisonSpecification, key: str, owner: str | None = None) -> str:

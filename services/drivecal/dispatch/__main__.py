@@ -142,17 +142,15 @@ def _take_lock(database: Database, settings: Settings, server: int | None) -> se
     return server_lock.hold(settings.database_url, server=server)
 
 
-def _awaited(
-    what: str, attempt: Callable[[], T], stop: threading.Event, report: Callable[[str], None] = lambda _: None
-) -> T | None:
-    """Returns what `attempt` returns as soon as it stops raising UnavailableError; None if the process must end first."""
+def _awaited(what: str, make: Callable[[], T], stop: threading.Event, say: Callable[[str], None] = lambda _: None) -> T | None:
+    """Returns what `make` returns as soon as it stops raising UnavailableError; None if the process must end first."""
     pause = 1.0
     while not stop.is_set():
         try:
-            return attempt()
+            return make()
         except UnavailableError as error:
             log.warning("waiting for %s: %s", what, error)
-            report(f"waiting for {what}: {error}")
+            say(f"waiting for {what}: {error}")
             stop.wait(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
     return None

@@ -25,7 +25,7 @@ MANIFEST = "problem.yaml"
 LARGEST = 64 << 20
 """Bytes of all files together, and of an archive."""
 MOST_FILES = 10_000
-IGNORED = {".git", "__pycache__", ".venv", ".drivecal"}
+IGNORED = {".git", "__pycache__", ".venv", ".drivecal", "__MACOSX"}
 LARGEST_RATIO = 1100
 """Deflate reaches 1032; an archive beyond it holds the same data several times."""
 DEEPEST = 32
@@ -144,7 +144,9 @@ def files_of(archive: bytes, largest: int = LARGEST, most_files: int = MOST_FILE
         raise _refused("", f"the archive cannot be read: {shown(reason, 200)}", "write the zip again") from error
     top, mark, _ = next(iter(files), "").partition("/")
     if f"{top}/{MANIFEST}" in files and all(name.startswith(top + mark) for name in files):  # of the folder, not of its content
-        return {name.removeprefix(top + mark): file for name, file in files.items()}
+        files = {name.removeprefix(top + mark): file for name, file in files.items()}
+        if (name := next(filter(_name_fault, files), None)) is not None:
+            raise _refused(shown(name), _name_fault(name) or "", "leave it out of the archive")
     return files
 
 

@@ -146,7 +146,7 @@ class ParameterImportance(Answer):
     upper: float
 
 
-WEAK, CLEAR = 0.5, 0.05
+WEAK, CLEAR = 0.5, 0.025
 
 
 class ImportanceAnswer(Answer):

@@ -14,6 +14,7 @@ def test_parameters_are_ordered_by_what_they_explain_and_others_explain_nothing(
     result = present(importances(features, values))
     assert list(np.argsort(-result.mean)[:2]) == [2, 0]
     assert result.r2 > 0.9
+    assert result.mean[2] == pytest.approx(0.94, abs=0.1), "the share of 4 x in the variance"
     assert np.abs(result.mean[[1, 3]]).max() < 0.02 < result.mean[0]
     assert (result.sets, result.held_out) == (400, 133)
 

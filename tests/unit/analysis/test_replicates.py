@@ -94,9 +94,7 @@ def test_intervals_of_skewed_runs_miss_as_often_on_both_sides(sign: int) -> None
         missed[skewness] = sum((lower or 0) > 0 for lower, _ in ends), sum((upper or 0) < 0 for _, upper in ends)
     assert sum(missed[known.skewness]) <= 0.07 * len(drawn) < sum(missed[0.0])
     assert abs(np.subtract(*missed[known.skewness])) < abs(np.subtract(*missed[0.0])) / 2
-    assert interval([1.0, 2.0], None, CONFIDENCE, 1.0, 11.0, known.skewness) == interval(
-        [1.0, 2.0], None, CONFIDENCE, 1.0, 11.0
-    )
+    assert interval([1, 2], None, CONFIDENCE, 1.0, 11.0, known.skewness) == interval([1, 2], None, CONFIDENCE, 1.0, 11.0)
 
 
 def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:

@@ -259,9 +259,10 @@ def test_a_folder_with_files_is_not_written_over(tmp_path: Path) -> None:
 
 def test_the_manifest_must_be_at_the_top() -> None:
     assert manifest_text(files_of(zipped(("problem.yaml", b"a: 1")))) == b"a: 1"
-    assert files_of(zipped(("my/problem.yaml", b"a: 1"), ("my/b/c", b""))).keys() == {"problem.yaml", "b/c"}, (
-        "a zip of the folder"
-    )
+    assert files_of(zipped(("my/problem.yaml", b"a: 1"), ("my/b/c", b""), ("__MACOSX/my/a", b""))).keys() == {
+        "problem.yaml",
+        "b/c",
+    }, "a zip of the folder"
     for archive in (zipped(("my/problem.yaml", b""), ("mine", b"")), zipped(("my/b/problem.yaml", b"")), zipped(("a", b""))):
         with pytest.raises(InvalidInputError):
             manifest_text(files_of(archive))

@@ -81,10 +81,8 @@ def test_auto_misses_a_tenth_of_changed_steps_as_often_as_it_says(samples: int, 
 
 
 @given(st.integers(2, 2_000), st.floats(0, 1))
-def test_the_probability_of_a_miss_is_binomial(samples: int, rate: float) -> None:
-    assert miss_probability(samples, rate) == pytest.approx(
-        stats.binom.cdf(stats.binom.ppf(0.95, samples, 0.01), samples, rate)
-    )
+def test_the_probability_of_a_miss_is_binomial(n: int, rate: float) -> None:
+    assert miss_probability(n, rate) == pytest.approx(stats.binom.cdf(stats.binom.ppf(0.95, n, 0.01), n, rate))
 
 
 def test_readers_of_a_map_hear_of_the_misses_of_auto_alone() -> None:

@@ -119,11 +119,9 @@ def _start_fmu(section: Section, scenario: str, data: Data, scratch: Scratch, de
         "data": dict(data),
         "parameters": dict(declared.parameters),
     }
-    command = [*DRIVER, "drivecal.adapters.fmu_driver"]
-    most_runs = MOST_FMU_RUNS if section.get("reset", True) else 1
-    return ProcessSession(
-        command, section, scratch, declared, scenario=scenario, data={}, most_runs=most_runs, settings=settings
-    )
+    driver = [*DRIVER, "drivecal.adapters.fmu_driver"]
+    most = MOST_FMU_RUNS if section.get("reset", True) else 1
+    return ProcessSession(driver, section, scratch, declared, scenario=scenario, data={}, most_runs=most, settings=settings)
 
 
 def _start_highway(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:

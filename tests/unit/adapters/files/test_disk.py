@@ -185,9 +185,7 @@ def test_disks_are_told_from_memory() -> None:
     mounts = [line.split(" - ") for line in Path("/proc/self/mountinfo").read_text().splitlines()]
     systems = {mount.split()[4]: system.split()[0] for mount, system in mounts}
     shown = {place: system for place, system in systems.items() if system in {"tmpfs", "proc", "ext4", "sysfs", "overlay"}}
-    assert {place: files.is_in_memory(place) for place in shown} == {
-        place: system == "tmpfs" for place, system in shown.items()
-    }
+    assert {at: files.is_in_memory(at) for at in shown} == {at: system == "tmpfs" for at, system in shown.items()}
 
 
 @pytest.mark.slow

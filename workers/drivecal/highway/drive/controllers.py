@@ -193,7 +193,8 @@ class LoadedFmuController(Controller):
         field = "simulator.controller.signals"
         used = ((f"{field}.{name}", signals[name], unit, False) for name, unit in own.items())
         refuse_first(output_problems(self._fmu.described, used))
-        refuse_first(section_problems("simulator.controller", section, self._fmu.described, units or {}))
+        if self._fmu.described:
+            refuse_first(section_problems("simulator.controller", section, self._fmu.described, units or {}))
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
