@@ -166,6 +166,7 @@ def _driven(setup: Setup, cell: Cell) -> CellResult:
         ({"objectives": [{"score": "cost"}], "reduction": {"mode": "exact"}}, {"evaluator": "other"}, (None, None)),
         ({"weights": {"city": 0.7, "road": 0.1}}, {"weights": {"city": 7}, "optimizer": {"seed": 5}}, None),
         ({"reduction": {"isolated": True}}, CITY, None),
+        ({"optimizer": None, "sensitivity": {"samples": 2}}, {"optimizer": OPTIMIZER}, None),
         ({"optimizer": OPTIMIZER | {"population": 30, "iterations": 1}}, CITY, None),
         (
             {"optimizer": OPTIMIZER | {"start_sets": [{"a": 0, "b": 0}]}},

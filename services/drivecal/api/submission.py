@@ -137,19 +137,21 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
     made = ((each, given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes)) for each in ranked[:TRIED])
     place, best = next(((each.iteration, fitting) for each, fitting in made if fitting is not None), (0, None))
-    is_there = best in problem.start_sets or (place == 0 and _is_drawn_again(database, first, wanted))
-    return None if best is None or is_there else dict(best.floats)
+    if best is None or best in problem.start_sets or (place == 0 and _is_drawn_again(database, first, wanted)):
+        return None
+    return dict(best.floats)
 
 
 def _is_drawn_again(database: Database, first: StoredCampaign, wanted: CampaignSpecification) -> bool:
     """Returns whether the start population of a rerun is that of the first campaign."""
-    own, again = (
-        {**spec, "optimizer": {**spec["optimizer"], "iterations": 0}} for spec in (first.spec, wanted.model_dump(mode="json"))
-    )
+    own, again = first.spec, wanted.model_dump(mode="json")
+    before, now_ = ({**(spec["optimizer"] or {}), "iterations": 0} for spec in (own, again))
     with suppress(NotFoundError):
-        before, now_ = (stored_bundles(database)(spec["problem"]).manifest for spec in (own, again))
-        alike = all(getattr(before, name) == getattr(now_, name) for name in ("parameters", "constraints", "baseline"))
-        return alike and all(own.get(name) == again.get(name) for name in ("optimizer", "parameters", "fixed", "baseline"))
+        old, new = (stored_bundles(database)(spec["problem"]).manifest for spec in (own, again))
+        alike = all(getattr(old, name) == getattr(new, name) for name in ("parameters", "constraints", "baseline"))
+        return (
+            alike and before == now_ and all(own.get(name) == again.get(name) for name in ("parameters", "fixed", "baseline"))
+        )
     return False
 
 
