@@ -130,8 +130,7 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     elif problem.goals.is_weighted_score:
         text = ",".join(f"{name}={weights.get(name, 0.0)!r}" for name in theirs.weights)
         with suppress(InvalidInputError):  # a learned score ranks nothing before the rerun
-            score = f"{wanted.evaluator}@{wanted.problem}"
-            ranked = solution_pages(StoredRanking(database, first, theirs), text, score).ranked
+            ranked = solution_pages(StoredRanking(database, first, theirs), text, f"{wanted.evaluator}@{wanted.problem}").ranked
     with database.read() as connection:
         sets = parameter_sets.load(connection, [each.parameter_set for each in ranked[:TRIED]])
     shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
@@ -149,9 +148,8 @@ def _is_drawn_again(database: Database, first: StoredCampaign, wanted: CampaignS
     with suppress(NotFoundError):
         old, new = (stored_bundles(database)(spec["problem"]).manifest for spec in (own, again))
         alike = all(getattr(old, name) == getattr(new, name) for name in ("parameters", "constraints", "baseline"))
-        return (
-            alike and before == now_ and all(own.get(name) == again.get(name) for name in ("parameters", "fixed", "baseline"))
-        )
+        alike &= all(own.get(name) == again.get(name) for name in ("parameters", "fixed", "baseline"))
+        return alike and before == now_
     return False
 
 
