@@ -36,12 +36,12 @@ def main(arguments: Sequence[str]) -> int:
         print(f"there is no benchmark {', '.join(unknown)}; available: {', '.join(available())}", file=sys.stderr)
         return 2
     # benchmarks share parts with each other and with the tests, as `tests.benchmarks` and `tests.support`
-    own = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), os.environ.get("PYTHONPATH")]))}
+    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), os.environ.get("PYTHONPATH")]))}
     ended: dict[str, tuple[int, float]] = {}
     for name in names or available():
         print(f"\n{name}\n{'=' * len(name)}", flush=True)
         started = time.perf_counter()
-        code = subprocess.run([sys.executable, str(HERE / f"{name}.py"), *options], env=own, check=False).returncode
+        code = subprocess.run([sys.executable, str(HERE / f"{name}.py"), *options], env=env, check=False).returncode
         ended[name] = (code, time.perf_counter() - started)
     print()
     for name, (code, seconds) in ended.items():

@@ -149,7 +149,7 @@ def test_a_campaign_that_cannot_be_resolved_any_more_fails_and_says_why(database
     assert _run(database, campaign).state is CampaignState.SUCCEEDED
 
 
-def test_a_queued_problem_has_its_scale_and_starts_anew(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_queued_problem_has_its_scale_and_takes_new_versions(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     own = installed_bundles("highway")
     cost = {"formula": "peak_lateral_jerk_mps3", "direction": "minimise", "range": [0, 100], "failed": 200}
     store(database, own.manifest.model_dump(mode="json") | {"problem": "mine", "scores": {"cost": cost}})

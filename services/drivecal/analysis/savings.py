@@ -134,7 +134,9 @@ def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) 
     return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
-def _scenario(name: str, costs: Sequence[OutcomeCosts], confirmed: Mapping[Outcome, int], predictor: float) -> ScenarioAccount:
+def _scenario(
+    name: str, costs: Sequence[OutcomeCosts], confirmed: Mapping[Outcome, int], predictor_seconds: float
+) -> ScenarioAccount:
     cells = _cells(costs)
     simulated = [cost for cost in costs if cost.outcome is Outcome.SIMULATED]
     mean = _mean_seconds(simulated)
@@ -149,7 +151,7 @@ def _scenario(name: str, costs: Sequence[OutcomeCosts], confirmed: Mapping[Outco
         mean_seconds=mean,
         simulated_seconds=sum(cell.seconds for cell in simulated),
         saved={outcome.value: max(0, cells[outcome] - confirmed.get(outcome, 0)) * (mean or 0.0) for outcome in SAVING},
-        predictor_seconds=predictor,
+        predictor_seconds=predictor_seconds,
     )
 
 

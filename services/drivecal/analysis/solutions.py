@@ -401,9 +401,8 @@ class Ranking:
             for number in set(numbers) - {numbers[leader]}:
                 self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
-        probabilities, bounds = known.probabilities(), known.bounds(confidence)
-        if any(bound.rate is not None for bound in self._goals.bounds):  # rates rank first
-            probabilities = np.full_like(probabilities, np.nan)
+        has_rates = any(bound.rate is not None for bound in self._goals.bounds)  # which rank first
+        probabilities, bounds = np.full(len(numbers), np.nan) if has_rates else known.probabilities(), known.bounds(confidence)
         ahead, halves = known.ahead(leader), known.half_widths(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]

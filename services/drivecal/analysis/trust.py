@@ -480,12 +480,11 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
 
 def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields verdicts on audits and lots of answers by references."""
+    inspected = _is_inspected(campaign)
     for scenario, rate in campaign.error_rate.items():
-        light: Light = "red" if rate.wrong > _DEFAULT.max_error * rate.audited else "amber"
-        then = ", and no lots were inspected"
-        if _is_inspected(campaign):
-            light, then = "amber", ": correct the map, or analyse again with more samples. Lots kept most wrong answers out"
-        if rate.wrong and (not _is_inspected(campaign) or 2 * rate.rejected > rate.lots):
+        light: Light = "red" if rate.wrong > _DEFAULT.max_error * rate.audited and not inspected else "amber"
+        if rate.wrong and (not inspected or 2 * rate.rejected > rate.lots):
+            then = ", though lots kept most out: correct the map or analyse again" if inspected else ", without any lots"
             yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=then)
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:

@@ -143,13 +143,13 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
 
 def _is_drawn_again(database: Database, first: StoredCampaign, wanted: CampaignSpecification) -> bool:
     """Returns whether the start population of a rerun is that of the first campaign."""
-    own, again = first.spec, wanted.model_dump(mode="json")
-    before, now_ = ({**(spec["optimizer"] or {}), "iterations": 0} for spec in (own, again))
+    before, after = first.spec, wanted.model_dump(mode="json")
+    search, searched = ({**(spec["optimizer"] or {}), "iterations": 0} for spec in (before, after))
     with suppress(NotFoundError):
-        old, new = (stored_bundles(database)(spec["problem"]).manifest for spec in (own, again))
-        alike = all(getattr(old, name) == getattr(new, name) for name in ("parameters", "constraints", "baseline"))
-        alike &= all(own.get(name) == again.get(name) for name in ("parameters", "fixed", "baseline"))
-        return alike and before == now_
+        first_push, push = (stored_bundles(database)(spec["problem"]).manifest for spec in (before, after))
+        alike = all(getattr(first_push, name) == getattr(push, name) for name in ("parameters", "constraints", "baseline"))
+        alike &= all(before.get(name) == after.get(name) for name in ("parameters", "fixed", "baseline"))
+        return alike and search == searched
     return False
 
 

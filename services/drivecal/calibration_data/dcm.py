@@ -128,7 +128,7 @@ def read_text(text: str, file: str) -> Content:
         if keyword in _KINDS:
             if not name:
                 raise refused(file, number, f"a {keyword} has no name", "give it one")
-            result.add(file, name, _read(lines, keyword, name, sizes, number, file))
+            result.add(file, name, _read_block(lines, keyword, name, sizes, number, file))
         elif keyword in _LISTS:
             list(_inside(lines, f"this {keyword}", number, file))
             result.skipped += [name] if keyword == "TEXTSTRING" else []
@@ -157,9 +157,11 @@ def _inside(lines: Iterator[_Line], block: str, begin: int, file: str) -> Iterat
     raise refused(file, begin, f"{block} has no END", "close it by END before the next keyword")
 
 
-def _read(lines: Iterator[_Line], word: str, name: str, sizes: Sequence[str], begin: int, file: str) -> Characteristic | None:
+def _read_block(
+    lines: Iterator[_Line], keyword: str, name: str, sizes: Sequence[str], begin: int, file: str
+) -> Characteristic | None:
     """Returns a parameter, None if it has several variants of its value, or values of another sort."""
-    kind, axis_kind, n_axes = _KINDS[word]
+    kind, axis_kind, n_axes = _KINDS[keyword]
     numbers: dict[str, list[tuple[float, tuple[int, int]]]] = {"WERT": [], "ST/X": [], "ST/Y": []}
     texts: dict[str, str] = {}
     text_places: Places = ()

@@ -84,10 +84,12 @@ def serve(settings: Settings, stop: threading.Event, server: int | None = None) 
             _dispatch(settings, database.fenced(leadership.fence), leadership, heartbeat, stop)
 
 
-def _dispatch(settings: Settings, database: Database, leadership: Leadership, pulse: Heartbeat, stop: threading.Event) -> None:
+def _dispatch(
+    settings: Settings, database: Database, leadership: Leadership, heartbeat: Heartbeat, stop: threading.Event
+) -> None:
     address = settings.ray_address
-    pulse.report((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
-    backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: pulse.report((), words))
+    heartbeat.report((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
+    backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.report((), words))
     if backend is None:
         return
     # the first campaign's start design needs it; while the workers start, a second of it costs nothing
@@ -101,13 +103,13 @@ def _dispatch(settings: Settings, database: Database, leadership: Leadership, pu
         dispatcher = Dispatcher(
             database,
             WorkPool(backend, Leases(database), resources=resources),
-            pulse.report,
+            heartbeat.report,
             running_campaigns=settings.running_campaigns,
         )
         dispatcher.run(stop)
     except BackendLostError as error:
-        pulse.report((), f"{error}; the workers are started or joined again")
-        pulse.wait_until_stored()
+        heartbeat.report((), f"{error}; the workers are started or joined again")
+        heartbeat.wait_until_stored()
         raise  # what is gone cannot be closed
     except BaseException:
         backend.close()

@@ -64,9 +64,9 @@ def test_every_watermark_sees_the_first_run_whenever_keys_were_computed(database
     newest = ids[-1]
     upto = sorted(chance.sample(range(newest + 1), min(3, newest)))
     chunk = chance.choice([1, 2, 7, 1000])
-    got = [reference_keys.sync(database, 1, setup, EVALUATOR, limit, keys_of, chunk=chunk) for limit in [*upto, newest, newest]]
-    assert sum(got) == len(sets)
-    assert got[-1] == 0
+    new = [reference_keys.sync(database, 1, setup, EVALUATOR, limit, keys_of, chunk=chunk) for limit in [*upto, newest, newest]]
+    assert sum(new) == len(sets)
+    assert new[-1] == 0
 
     asked = [*dict.fromkeys(keys), b"nobody has this one"[:16]]
     with database.read() as connection:
@@ -129,9 +129,9 @@ def test_a_rating_that_is_younger_than_its_run_is_seen_from_its_own_number_on(da
         last = runs.largest_id(connection)
     assert len({number for number, _, _ in numbers}) == len(sets)
     chunk = chance.choice([1, 2, 3, 100])
-    got = [reference_keys.sync(database, 1, setup, "learned 1", upto, keys_of, chunk=chunk) for upto in (last - 9, last, last)]
-    assert sum(got) == len(sets)
-    assert got[-1] == 0
+    new = [reference_keys.sync(database, 1, setup, "learned 1", upto, keys_of, chunk=chunk) for upto in (last - 9, last, last)]
+    assert sum(new) == len(sets)
+    assert new[-1] == 0
     [key] = set(keys_of_sets(sets))
     again = {entry.parameter_set_id for entry in stored[:7]}
     with database.read() as connection:

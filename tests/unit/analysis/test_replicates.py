@@ -443,11 +443,11 @@ def test_bounds_of_rates_are_exact(counts: tuple[int, int]) -> None:
     assert rate_bounds(0, 299, 0.95) == pytest.approx((0.0, 1 - 0.05 ** (1 / 299)))
 
 
-@pytest.mark.parametrize(("most", "fails", "best", "open_"), [(40, {}, 0, False), (40, {0: 3}, 1, False), (20, {}, 0, True)])
-def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[int, int], best: int, open_: bool) -> None:
+@pytest.mark.parametrize(("most", "fails", "best", "unsure"), [(40, {}, 0, False), (40, {0: 3}, 1, False), (20, {}, 0, True)])
+def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[int, int], best: int, unsure: bool) -> None:
     ranking = rated(most, fails)
     winner = ranking.best_first()[0]
-    assert (winner.parameter_set, winner.violation > 0, winner.is_undecided) == (best, open_, open_)
+    assert (winner.parameter_set, winner.violation > 0, winner.is_undecided) == (best, unsure, unsure)
     for place in fails:  # it can keep the rate no more, and gets no further runs
         assert max(ranking.seeds(place)) < 22
 

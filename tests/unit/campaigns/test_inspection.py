@@ -45,10 +45,10 @@ def simulate(connection: Connection, cells: Collection[StoredEvaluation], score:
         evaluations.answer(connection, [AnsweredCell(each.id, Outcome.SIMULATED, score, score, result.id)])
 
 
-def resumed(connection: Connection, of: int) -> tuple[Inspection, dict[int, StoredEvaluation], dict[int, StoredEvaluation]]:
+def resumed(connection: Connection, number: int) -> tuple[Inspection, dict[int, StoredEvaluation], dict[int, StoredEvaluation]]:
     """Returns an inspection that starts from the rows, the cells that it drew, and all that wait."""
-    inspection = Inspection(of, EVALUATOR, COMFORT)
-    waiting = {each.id: each for each in results.pending(connection, of)}
+    inspection = Inspection(number, EVALUATOR, COMFORT)
+    waiting = {each.id: each for each in results.pending(connection, number)}
     return inspection, inspection.load(connection, waiting), waiting
 
 

@@ -104,8 +104,8 @@ def test_the_bounds_are_those_of_the_whole_design(
             assert repr(parameter.overall) == repr(full.parameters[name].overall)  # NaN differs from itself
 
 
-def finished(of: SensitivitySpecification, scores: dict[str, Score] = SCORES) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
-    analysis = SensitivityAnalysis(SPACE, list(scores), of)
+def finished(spec: SensitivitySpecification, scores: dict[str, Score] = SCORES) -> tuple[Any, list[tuple[str, dict[str, int]]]]:
+    analysis = SensitivityAnalysis(SPACE, list(scores), spec)
     told = drive(analysis, scores)
     return analysis.result(), told
 

@@ -142,7 +142,9 @@ def _pushed_score(database: Database, name: str, own: str, measures: Collection[
     return None if score_id(score, entry) == own else CellValue(entry.scale(name), entry.formula)
 
 
-def _rated(connection: Connection, of: StoredCampaign, evaluator: str, value: CellValue, goals: Goals) -> Iterator[CellScore]:
+def _rated(
+    connection: Connection, campaign: StoredCampaign, evaluator: str, value: CellValue, goals: Goals
+) -> Iterator[CellScore]:
     """Yields the answered cells with another score; without one if a reference or a prediction answered them, or a measure is missing.
     Values of `goals` may name the campaign's own score."""
 
@@ -153,7 +155,7 @@ def _rated(connection: Connection, of: StoredCampaign, evaluator: str, value: Ce
 
     bounds_own = any(bound.value.key == SCORE for bound in goals.bounds)
 
-    for cell in results.answers(connection, of.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
+    for cell in results.answers(connection, campaign.sequence, StageName.CALIBRATION, corrected_by=evaluator, valued=rate):
         score = cell.values.get(value.key)
         known = score is not None  # of a run of this very cell, or of a run that it provably repeats
         own = {} if cell.score is None or not bounds_own else {SCORE: cell.score}

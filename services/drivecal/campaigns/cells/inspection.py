@@ -227,8 +227,5 @@ def notes_on_lots(rates: Mapping[str, ErrorRate]) -> list[str]:
     rejected = [f"{name} ({rate.rejected} of {rate.lots})" for name, rate in rates.items() if rate.rejected]
     why = "lots of reused answers had too many wrong samples, so every cell of them was simulated"
     sampled, inspected = (sum(getattr(rate, name) for rate in rates.values()) for name in ("sampled", "inspected"))
-    small = (
-        f"{sampled:,} of {inspected:,} cells that the influence map could answer were simulated as samples of their lots, which are too"
-        " small to save more: larger populations or a larger `max_error` (docs: reuse) leave more to copy"
-    )
+    small = f"{sampled:,} of {inspected:,} cells that the map could answer were samples: a larger population or `max_error` saves more"
     return ([f"{why}: {', '.join(rejected)}"] if rejected else []) + ([small] if 2 * sampled > inspected else [])

@@ -103,8 +103,8 @@ class CalibrationProblem:
             plan = smallest_plan(max(1, round(LIKELY * self.optimization.population)), limit, 0)
             saved = round(saved * (plan.size - plan.sample) / plan.size)
             if 2 * plan.sample > plan.size:
-                words = f"lots of {plan.size} cells or so, of which {plan.sample} are samples (`max_error` {limit:g})"
-                notes.append(f"the influence map will save little: {words}; a larger population or `max_error` saves more")
+                sampled = f"a lot of some {plan.size} cells has a sample of {plan.sample} (`max_error` {limit:g})"
+                notes.append(f"the influence map will save little: {sampled}; a larger population or `max_error` saves more")
         if not self.policy.uses_map:
             why = "checks in lots would simulate each cell that this search asks for"
             why = "runs of a random simulator answer equal sets under equal seeds only" if self.bench.is_random else why

@@ -210,9 +210,7 @@ def print_importance(answer: ImportanceAnswer) -> None:
         ranked = sorted(answer.items, key=lambda item: -item.importance)
         rows = [[item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper))] for item in ranked]
         print_columns(["parameter", "importance", "95 % from", "to"], rows)
-        typer.echo(
-            f"\nshare of the variation: half the loss of R² when its values are shuffled; it matters from {answer.clear:g}"
-        )
+        typer.echo(f"\nshare of the variation (half the loss of R² if shuffled); it matters from {answer.clear:g}")
     for note in answer.notes:
         say(f"note: {note}")
 

@@ -279,10 +279,10 @@ def test_an_fmu_with_too_many_files_is_refused_before_they_are_listed(monkeypatc
 
 
 def test_arrays_are_no_numbers() -> None:
-    of = THIRD.replace('causality="input" start="0"/>', 'causality="input"><Dimension start="3"/><Alias name="v"/></Float64>')
-    assert [name for name, variable in (parse_description(of.encode()) or {}).items() if variable.is_array] == ["u1", "v"]
+    xml = THIRD.replace('causality="input" start="0"/>', 'causality="input"><Dimension start="3"/><Alias name="v"/></Float64>')
+    assert [name for name, variable in (parse_description(xml.encode()) or {}).items() if variable.is_array] == ["u1", "v"]
     assert "simulator.controller.constants.u1" in faults(
-        problem(signals={"acceleration": "y"}, constants={"acc_enable": True, "u1": 1}), of
+        problem(signals={"acceleration": "y"}, constants={"acc_enable": True, "u1": 1}), xml
     )
 
 

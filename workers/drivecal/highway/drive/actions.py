@@ -371,24 +371,24 @@ class Actions:
         centres = [0.0]
         for lane in range(1, count):
             centres.append(centres[-1] + 0.5 * (_width(edge, lane - 1) + _width(edge, lane)))
-        aimed = action.lane
-        if aimed is None:
+        target_lane = action.lane
+        if target_lane is None:
             left = 0.0
             if action.beside is not None:
                 left = self._left(name, action.beside, moment) + offset
             base = min(range(count), key=lambda lane: abs(centres[lane] - centres[index] - left))
-            aimed = base + (action.by or 0)
-        if not 0 <= aimed < count:
+            target_lane = base + (action.by or 0)
+        if not 0 <= target_lane < count:
             raise ActionError(
-                f"{name} cannot cut into lane {aimed} of edge {edge} at {moment.time:g} s, which has {count} lanes"
+                f"{name} cannot cut into lane {target_lane} of edge {edge} at {moment.time:g} s, which has {count} lanes"
             )
-        way = centres[aimed] - centres[index] - offset
+        way = centres[target_lane] - centres[index] - offset
         seconds = action.seconds or DEFAULT_SECONDS
         if action.metres is not None:
             seconds = action.metres / max(vehicle.getSpeed(name), SLOWEST_BRAKING)
         elif action.lateral_speed is not None:
             seconds = PEAK_SPEED * abs(way) / action.lateral_speed
-        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, aimed - index)
+        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
 
     def _end(self, name: str, ended: Collection[str]) -> None:
         """Ends the running ones of these actions of a vehicle: it keeps its speed, and its place in its lane.

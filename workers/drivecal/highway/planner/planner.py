@@ -34,7 +34,7 @@ class FrenetPlanner:
     period = PERIOD
 
     def __init__(self, scenario: Scenario) -> None:
-        """Raises InvalidInputError if the scenario's step does not divide the period."""
+        """Raises InvalidInputError if the scenario's step does not divide the planning period."""
         per_plan = round(PERIOD / scenario.step)
         if per_plan < 1 or abs(per_plan * scenario.step - PERIOD) > 1e-9:
             raise InvalidInputError(

@@ -110,12 +110,8 @@ def agreement_with(panel: Floats, ratings: Floats) -> tuple[float, float, float,
     ours, theirs = np.floor(ratings + 0.5).astype(int), np.floor(panel + 0.5).astype(int)
     distance = np.abs(ours - theirs)
     kappa = cohen_kappa_score(ours, theirs, weights="quadratic", labels=list(range(8)))
-    return (
-        float((distance == 0).mean()),
-        float((distance <= 1).mean()),
-        float(kappa),
-        float(np.sqrt(((ratings - panel) ** 2).mean())),
-    )
+    error = np.sqrt(((ratings - panel) ** 2).mean())
+    return float((distance == 0).mean()), float((distance <= 1).mean()), float(kappa), float(error)
 
 
 def rated_by_panel(drives: Sequence[RatedDrive]) -> Floats:

@@ -96,10 +96,12 @@ def _steering(
 
 
 @compiled
-def _acceleration(state: Floats, aside: float, course_error: float, trajectory: Floats, time: float, spacing: float) -> float:
+def _acceleration(
+    state: Floats, position_error: float, course_error: float, trajectory: Floats, time: float, spacing: float
+) -> float:
     """Returns the acceleration (m/s^2) that drive and brakes shall reach."""
     speed_error = state[3] * math.cos(course_error) - _sample(trajectory, 5, time, spacing)
-    return _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * aside
+    return _sample(trajectory, 6, time + DRIVE_LAG, spacing) - SPEED_GAIN * speed_error - POSITION_GAIN * position_error
 
 
 @compiled
