@@ -35,11 +35,13 @@ class Nearest(NamedTuple):
 class CellComparison:
     """Compares one cell with stored sets, under an influence map in one scenario."""
 
-    def __init__(self, known: InfluenceMap, scenario: str, names: Sequence[str], values: Integers, ranges: Integers) -> None:
+    def __init__(
+        self, influence_map: InfluenceMap, scenario: str, names: Sequence[str], values: Integers, ranges: Integers
+    ) -> None:
         """`values` are the cell's, coded by `keys.billionths_matrix`, in the order of `names`, shape (n_p,). `ranges` are the parameters'
         extents in billionths, positive, shape (n_p,): the units of distances."""
         self._names = tuple(names)
-        self._map = MapColumns(known, scenario, names)
+        self._map = MapColumns(influence_map, scenario, names)
         self._values = values
         self._ranges = ranges
 

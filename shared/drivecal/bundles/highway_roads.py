@@ -76,7 +76,7 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     Raises InvalidInputError if a scenario's files, network, route or positions do not fit each other, with the fields of the manifest.
     """
     roads = _Roads(files)
-    problems: dict[str, list[Problem]] = dict(_of_tasks(manifest, roads, files))
+    problems: dict[str, list[Problem]] = dict(_roads_of_tasks(manifest, roads, files))
     descriptions: dict[str, Description] = {}
     for field, scenario in _scenarios(manifest):
         roads.check_time()
@@ -101,7 +101,9 @@ def check_roads(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[st
     return (*dict.fromkeys(ignored), *chain.from_iterable(notes.values()))
 
 
-def _of_tasks(manifest: Manifest, roads: "_Roads", files: Mapping[str, BundleFile]) -> Iterator[tuple[str, list[Problem]]]:
+def _roads_of_tasks(
+    manifest: Manifest, roads: "_Roads", files: Mapping[str, BundleFile]
+) -> Iterator[tuple[str, list[Problem]]]:
     """Yields the faults of the roads of scenarios with a task, whose lanes are equal and go from the begin to the end."""
     for name, data in manifest.scenarios.items():
         scenario = declared_scenario(data)

@@ -72,7 +72,7 @@ class _Recorder:
     def __init__(self, process: str) -> None:
         named = {} if "OTEL_SERVICE_NAME" in os.environ else {"service.name": "drivecal"}
         resources, self._sdk, export = (
-            import_module(f"opentelemetry.sdk.{of}") for of in ("resources", "trace", "trace.export")
+            import_module(f"opentelemetry.sdk.{part}") for part in ("resources", "trace", "trace.export")
         )
         self._trace = import_module("opentelemetry.trace")
         exporter = import_module("opentelemetry.exporter.otlp.proto.http.trace_exporter").OTLPSpanExporter()

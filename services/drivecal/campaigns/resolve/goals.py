@@ -174,7 +174,9 @@ def _value(given: GoalSpecification, field: str, known: KnownValues, diagnostics
     return CellValue(measure=measure, failed=given.failed)
 
 
-def _shares(given: GoalSpecification, field: str, weights: Mapping[str, float], faults: Diagnostics) -> dict[str, float] | None:
+def _shares(
+    given: GoalSpecification, field: str, weights: Mapping[str, float], diagnostics: Diagnostics
+) -> dict[str, float] | None:
     """Weights of sum 1, by scenario in the catalogue's order."""
     listed, bases = [] if given.scenarios == "all" else given.scenarios, {name: base_of(name) for name in weights}
     chosen = [name for name in weights if not listed or bases[name] in listed]
@@ -182,7 +184,7 @@ def _shares(given: GoalSpecification, field: str, weights: Mapping[str, float], 
     unknown[f"{field}.weights"] = [name for name in given.weights if name not in [bases[each] for each in chosen]]
     for place, names in unknown.items():
         for name in names:
-            faults.add(place, f"the scenario {name!r} is not simulated for it", f"one of {', '.join(chosen or weights)}")
+            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", f"one of {', '.join(chosen or weights)}")
     if any(unknown.values()):
         return None
     if chosen == list(weights) and not given.weights:

@@ -87,18 +87,8 @@ def audits_table(rates: Mapping[str, ErrorRate], scale: Scale) -> list[Block]:
         for name, rate in rates.items()
         if rate.audited or rate.contradictions
     ]
-    header = [
-        "scenario",
-        "audited",
-        "different",
-        "wrong",
-        "R_err",
-        "at most (95 %)",
-        "contradictions",
-        "lots",
-        "in lots",
-        "rejected",
-    ]
+    header = ["scenario", "audited", "different", "wrong", "R_err", "at most (95 %)"]
+    header += ["contradictions", "lots", "in lots", "rejected"]
     caption = (
         f"Audits: copied scores that were simulated all the same; wrong: off by more than {scale.amount(scale.tolerance)}; a lot with too "
         "many wrong samples was rejected, and each cell of it simulated; at most: the share of wrong answers among those that lots released"
