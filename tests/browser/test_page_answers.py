@@ -4,7 +4,7 @@ import csv
 import re
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,11 +16,12 @@ from tests.support.problems import store, submit_checked
 from tests.support.runs import run
 from tests.support.server import RunningApi, serving
 
-from drivecal.contracts.work import Cell, CellResult
+from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.storage.campaigns import StoredCampaign
 
 pytestmark = pytest.mark.slow
 
+MODEL = "def evaluate(parameters, scenario): ...\n"
 MODES = ("-soft", "=1+1", "a,b", "50 %")
 GEARS = ("1", "2.0", "05")
 CART: dict[str, Any] = {
@@ -64,12 +65,33 @@ class Shown:
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
     with serving(f"sqlite:///{tmp_path_factory.mktemp('answers') / 'drivecal.db'}") as api:
-        store(api.database, CART, {"model.py": "def evaluate(parameters, scenario): ...\n"})
+        store(api.database, CART, {"model.py": MODEL})
         ended = [
             run(api.database, submit_checked(api.database, SPEC | changes), ComputedBackend(answer=carted))
             for changes in ({"name": "first"}, {"name": "second"}, FRUGAL | {"name": "frugal"})
         ]
         yield Shown(api, *ended)
+
+
+def test_a_review_says_what_the_runs_of_a_random_simulator_tell(shown: Shown, opening: Opening) -> None:
+    store(
+        shown.api.database, CART | {"problem": "noisy", "simulator": CART["simulator"] | {"random": True}}, {"model.py": MODEL}
+    )
+    start = {"gain": 0.5, "mode": MODES[0], "gear": GEARS[0]}
+    spec = {"problem": "noisy", "budget": {"simulations": 80}, "baseline": start}
+
+    def driven(setup: SetupRequest, cell: Cell) -> CellResult:
+        result = carted(setup.scenario, cell)
+        return replace(result, metrics={"error": result.metrics["error"] + setup.seed % 97 / 970, "energy": 1.0})
+
+    ended = run(shown.api.database, submit_checked(shown.api.database, spec), ComputedBackend(driven=driven))
+    best, *_ = shown.api.http.get(f"/api/v1/campaigns/{ended.id}/solutions").json()["items"]
+    reviewed = opening(shown.at(ended, "review")).get_by_role("region", name="Set 1")
+    expect(reviewed).to_contain_text(
+        re.compile(rf"Objective [\d.]+ to [\d.]+ by the seeds that report it, of {best['replicates']}")
+    )
+    expect(reviewed.get_by_role("row", name="objective")).to_contain_text(f"{best['objective']:.4f}")
+    assert best["replicates"] > 1
 
 
 def changed(page: Page, address: str, change: Callable[[Any], Any]) -> None:

@@ -65,7 +65,7 @@ def test_a_retry_of_a_rerun_is_known_again_whatever_became_of_the_first_campaign
     posted = [api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers)]
     with api.database.transaction() as connection:
         connection.execute(text("UPDATE campaigns SET state = 'running' WHERE id = :first"), {"first": first})
-    posted.append(api.http.post(f"/api/v1/campaigns/{first}/rerun", json={"weights": {"S1": 2}}, headers=headers))
+    posted.append(api.http.post(f"/api/v1/campaigns/{first[:8]}/rerun", json={"weights": {"S1": 2}}, headers=headers))
     assert [answer.status_code for answer in posted] == [202, 202]
     assert posted[0].json()["id"] == posted[1].json()["id"]
     elsewhere = api.http.post("/api/v1/campaigns", json={"weights": {"S1": 2}}, headers=headers)

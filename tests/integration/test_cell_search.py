@@ -12,10 +12,12 @@ from tests.support.changes import install
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
-from tests.support.runs import dispatcher, everything, finish, get, submit
+from tests.support.problems import scored, store, submit_checked
+from tests.support.runs import dispatcher, everything, finish, get, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
+from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.constraints import Constraint, Constraints
 from drivecal.storage import results
@@ -77,6 +79,17 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     with database.read() as connection:
         begun = next(iter(results.stream(connection, further.sequence))).parameters.floats
     assert begun == present(first.best).parameters, "no stored set has S4, where all count alike"
+
+
+def test_a_stored_set_that_a_new_constraint_forbids_is_not_the_best(database: Database) -> None:
+    def costly(_: Any, cell: Cell) -> CellResult:
+        return CellResult(cell.id, None, None, {"y": 5.0 * float(cell.parameters["x"])}, None, 7.0)
+
+    problem = scored("narrowed", {"x": {"lower": 0, "upper": 1, "step": 0.05}})
+    for constraints, best in (([], 0.0), (["x >= 0.4"], 2.0)):
+        store(database, problem | {"constraints": constraints})
+        campaign = submit_checked(database, {"problem": "narrowed", "budget": {"simulations": 20}})
+        assert present(run(database, campaign, ComputedBackend(driven=costly)).best).objective == pytest.approx(best)
 
 
 @pytest.mark.slow

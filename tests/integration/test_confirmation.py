@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
+from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import post_map, rows_of, run, submit
 from tests.support.values import present
 
@@ -122,3 +124,24 @@ def test_no_more_sets_are_tried_than_asked_for_and_failing_ones_once(database: D
     assert len({(row.parameter_set_id, row.scenario) for row in tried}) == len(tried)
     assert present(failing.confirmation).failed
     assert [check for check in verify(database) if check.problems] == []
+
+
+@pytest.mark.slow
+def test_runs_under_further_seeds_and_sets_to_confirm_have_rounds_of_their_own(database: Database) -> None:
+    generator = np.random.default_rng(2)
+
+    def unsaid(_: Any, cell: Cell) -> CellResult:
+        value = 2 + 3 * abs(cell.parameters["a"] - 0.3) + float(cell.parameters["c"]) + generator.normal(0, 0.6)
+        return CellResult(cell.id, None, None, {"y": value}, None, 7.0, repeats=False if cell.check else None)
+
+    simulator = {"kind": "process", "command": ["mysim"], "deterministic": False}
+    store(database, scored("unsaid", {name: {"lower": 0, "upper": 1, "step": 0.1} for name in "abc"}, simulator=simulator))
+    blind = {scenario: {"c": {"influential": False}} for scenario in ("city", "road")}
+    spec: dict[str, Any] = {"problem": "unsaid", "reduction": {"max_error": 1, "confirm": 20, "repeat": 0.2}}
+    optimizer = {"kind": "genetic", "population": 40, "iterations": 4, "seed": 2}
+    spec |= {"optimizer": optimizer, "sensitivity": {"map": post_map(database, blind, problem="unsaid")}}
+    ended = run(database, submit_checked(database, spec), ComputedBackend(2, driven=unsaid))
+    rounds = [{row.seed > 1 for row in rows_of(database, ended) if row.iteration == number} for number in range(4, 17)]
+    assert {False} in rounds
+    assert {False, True} not in rounds
+    assert not present(ended.confirmation).copied

@@ -1,6 +1,7 @@
 """Results of vehicles and test benches are compared with simulations, and are never taken for one."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from tests.support.runs import working
 from tests.support.server import RunningApi, new_database, problem_of, serving
 
 from drivecal.client import Client
-from drivecal.domain.errors import ConflictError
+from drivecal.domain.errors import ConflictError, InvalidInputError
 
 SET: dict[str, float | str] = {"gain": 0.5, "stage": 1.0, "rooms": 3, "mode": "normal"}
 HEAD: dict[str, Any] = {"problem": "heater", "source": "house 7", "date": "2026-11-20"}
@@ -79,10 +80,30 @@ def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(ap
             client.import_results([row("spring"), row(scores={"cost": 31.0})], **HEAD)
         with pytest.raises(ConflictError):
             client.import_results([row("spring"), row("spring"), row("spring", scores={"cost": 31.0})], **HEAD)
+        with pytest.raises(InvalidInputError) as refused:
+            client.import_results([row()] * 1400 + [row("summer")], **HEAD)
+        assert refused.value.problems[0].field == "rows[1400].scenario"
         assert len(client.imported("heater")) == 1
         assert client.import_results([row(scores={"cost": 31.0})], **HEAD | {"date": "2026-11-21"}) == 1
         assert client.delete_imported("heater", "house 7") == 2
         assert client.imported("heater") == []
+
+
+@pytest.mark.slow("postgresql")
+def test_a_score_that_was_renamed_since_is_listed_as_it_was_imported(api: RunningApi, tmp_path: Path) -> None:
+    with Client(api.url) as client:
+        client.import_results([row(scores={"ease": 3.0})], **HEAD)
+        push(api.database, tmp_path / "heater", scores={"cost": MANIFEST["scores"]["cost"]})
+        assert [(item.name, item.value, item.simulated) for item in client.imported("heater")] == [("ease", 3.0, None)]
+
+
+@pytest.mark.slow("sqlite")
+def test_results_that_come_at_once_are_stored_or_refused(api: RunningApi) -> None:
+    def posted(number: int) -> int:
+        return api.http.post("/api/v1/results", json=HEAD | {"rows": [row(scores={"cost": float(number)})]}).status_code
+
+    with ThreadPoolExecutor(8) as pool:
+        assert sorted(pool.map(posted, range(8))) == [201, *[409] * 7]
 
 
 @pytest.mark.slow("postgresql")
@@ -160,6 +181,7 @@ def test_results_that_do_not_fit_the_problem_are_refused_by_field(request: pytes
             {"rows": [{"parameters": SET | {"gain": "much"}, "scenario": "winter", "scores": {"cost": 1}}]},
             "rows[0].parameters.gain",
         ),
+        ({"source": "house\0"}, "source"),
         ({"date": "20th of November"}, "date"),
         ({"problem": "cooler"}, "problem"),
     ]

@@ -10,6 +10,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.server import RunningApi
 
 from drivecal.campaigns.resolve.maps import resolve_map
+from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.campaign import CellCounts
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -87,10 +88,10 @@ def nothing_matters() -> dict[str, Any]:
     return {scenario: {f"P{i}": {"influential": False} for i in range(1, 12)} for scenario in ("S1", "S2", "S3")}
 
 
-def post_map(database: Database, scenarios: dict[str, Any]) -> str:
+def post_map(database: Database, scenarios: dict[str, Any], problem: str | None = None) -> str:
     """Stores a map as a user would post it; gives its id."""
-    document = {"scenarios": scenarios, "parameters": EXPERT_SPACE}
-    posted = resolve_map(InfluenceMapSpecification.model_validate(document))
+    document = {"scenarios": scenarios} | ({"parameters": EXPERT_SPACE} if problem is None else {"problem": problem})
+    posted = resolve_map(InfluenceMapSpecification.model_validate(document), stored_bundles(database))
     with database.transaction() as connection:
         return influence_maps.insert(connection, **posted).id
 

@@ -53,7 +53,8 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
     one relative to the nominal score, which counts as at least `least`. NaN if one has no result."""
     away = np.abs(scores - nominal)
     if condition != "max":
-        away = away / np.maximum(np.abs(nominal), least)
+        size = np.broadcast_to(np.maximum(np.abs(nominal), least), away.shape)
+        away = np.divide(away, size, out=np.where(away > 0, np.inf, away), where=size > 0)  # of nothing, no change is none
     return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from xml.sax.saxutils import escape  # writes only
 
 from drivecal.calibration_data import cdfx, dcm, files
-from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, on_one_line
+from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, quoted
 from drivecal.calibration_data.sections import AXES, SINGLE, joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
@@ -56,9 +56,9 @@ def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteri
         pairs += [(before.points, after.points, before.places) for before, after in zip(old.axes, new.axes, strict=True)]
         for was, given, places in pairs:
             for before, after, (begin, end) in zip(was, given, places, strict=False):
-                text = on_one_line(after) if isinstance(after, str) else repr(after)
+                text = after if isinstance(after, str) else repr(after)
                 if before != after:
-                    yield begin, end, escape(text) if form == "cdfx" else f'"{text}"' if isinstance(after, str) else text
+                    yield begin, end, escape(text) if form == "cdfx" else quoted(text) if isinstance(after, str) else text
 
 
 def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristic], file: str) -> dict[str, Characteristic]:

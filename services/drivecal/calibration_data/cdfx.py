@@ -64,7 +64,7 @@ def _instance(tree: Element, characteristic: Characteristic, quality: Quality | 
             _numbers(SubElement(container, "SW-ARRAYSIZE"), [float(len(axis.points)) for axis in characteristic.axes], "{:.0f}")
         values = SubElement(container, "SW-VALUES-PHYS")
         if isinstance(characteristic.value, str):
-            _add(values, "VT", characteristic.value)
+            SubElement(values, "VT").text = characteristic.value
         elif characteristic.value is not None:
             _numbers(values, [characteristic.value])
         for row in characteristic.rows:

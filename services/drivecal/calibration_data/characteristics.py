@@ -171,3 +171,8 @@ def on_one_line(text: str) -> str:
     """Returns a text without line breaks, control characters and double quotes, which strings of calibration files cannot hold safely."""
     plain = " ".join(text.split()).replace('"', "'")
     return "".join(character for character in plain if character.isprintable())
+
+
+def quoted(text: str) -> str:
+    """Returns a value that is a text as DCM has it, in double quotes, with its own ones doubled."""
+    return '"' + text.replace('"', '""') + '"'

@@ -22,6 +22,7 @@ from drivecal.calibration_data.characteristics import (
     number_or_fault,
     on_one_line,
     problem_of,
+    quoted,
     refused,
     unit_of,
 )
@@ -93,7 +94,7 @@ def _block(given: Characteristic) -> Iterator[str]:
             yield f"   ST/Y {axes['Y'].points[number]!r}"
         yield f"   {'ST/X' if given.kind == 'COM_AXIS' else 'WERT'} {_numbers(row)}"
     if isinstance(given.value, str):
-        yield f'   TEXT "{on_one_line(given.value)}"'
+        yield f"   TEXT {quoted(given.value)}"
     elif given.value is not None:
         yield f"   WERT {given.value!r}"
     yield "END"

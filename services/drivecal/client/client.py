@@ -1,11 +1,13 @@
 """The client. One method per call of the API; answers are the contracts, errors are drivecal's own."""
 
 import json
+import re
 import time
 import uuid
 import warnings
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from http import HTTPStatus
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -39,14 +41,23 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedRow
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted
 from drivecal.contracts.outside.results import StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.specification import Given
-from drivecal.contracts.tables import FrontRow, InfluenceRow, JudgedSet, OptimumRow, RobustnessRow, TableName, ValidationRow
-from drivecal.domain.errors import OverloadError
+from drivecal.contracts.tables import (
+    FrontRow,
+    ImportedRow,
+    InfluenceRow,
+    JudgedSet,
+    OptimumRow,
+    RobustnessRow,
+    TableName,
+    ValidationRow,
+)
+from drivecal.domain.errors import OverloadError, Problem, restated
 
 if TYPE_CHECKING:
     from drivecal.configuration.problems import Pushed
@@ -383,8 +394,12 @@ class Client(Transport):
             units: Units of parameters and measures, refused if the problem has others.
         """
         head = {"problem": problem, "source": source, "date": date, "units": dict(units or {})}
-        posted = (self._post(ImportAnswer, "results", document={**head, "rows": list(piece)}) for piece in in_pieces(rows))
-        return sum(_noted(answer).stored for answer in posted)
+        stored = first = 0
+        for piece in in_pieces(rows):
+            with restated(partial(_moved, first)):
+                stored += _noted(self._post(ImportAnswer, "results", document={**head, "rows": list(piece)})).stored
+            first += len(piece)
+        return stored
 
     def imported(self, problem: str, source: str | None = None) -> list[ImportedRow]:
         """Returns a problem's results from elsewhere, all or from one source, with the stored simulations of the same sets."""
@@ -543,3 +558,9 @@ def _noted(answer: Noted) -> Noted:
     for note in answer.notes:
         warnings.warn(note, stacklevel=3)
     return answer
+
+
+def _moved(first: int, given: Problem) -> Problem:
+    """Returns a fault in a later piece of rows with the number of its row among all."""
+    field = re.sub(r"^rows\[(\d+)\]", lambda row: f"rows[{int(row[1]) + first}]", given.field)
+    return Problem(field, given.message, f"{given.remedy} (the first {first:,} rows are stored)" if first else given.remedy)

@@ -278,7 +278,10 @@ class Transport:
 
 
 def path_of(parts: Sequence[str]) -> str:
-    """Returns the URL's path of a place in the API."""
+    """Returns the URL's path of a place in the API. Raises InvalidInputError for `..` and the like, which would name another place."""
+    for part in parts:
+        if part in {"", ".", ".."}:
+            raise InvalidInputError(Problem(repr(part), "it names nothing", "give an identifier"))
     return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)
 
 

@@ -7,6 +7,7 @@ from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.plugins import registry, setups
+from drivecal.plugins.ports import Evaluator
 from drivecal.plugins.simulators import VERSIONS
 
 _WITHOUT_EFFECT = {"timeout", "memory_mb", "deterministic", "random", "resources"}
@@ -105,12 +106,17 @@ def model_of(vehicle: str | Mapping[str, Any]) -> str:
 def score_id(name: str, score: ScoreEntry) -> str:
     """Returns the id of a score's ratings: its name and the digest of what changes a number.
 
-    For an evaluator that is its version. For a formula it is the formula, the worth of failed runs, and the direction, which says on
-    which side of that worth scores are cut off. The range changes numbers only through the default of `failed`; tolerance and unit
+    That is the formula, or name and version of the evaluator; the worth of failed runs; and the direction, which says on which side of
+    that worth scores are cut off. The range changes numbers only through the default of `failed`; tolerance and unit
     change none.
     """
     if score.formula is None:
-        evaluator = registry.evaluator(score.evaluator or "")
-        return f"{evaluator.name} {evaluator.version}"
+        return evaluator_rating(registry.evaluator(score.evaluator or ""), score)
     content = {"formula": Formula(score.formula).canonical, "direction": score.direction, "failed": score.failed_worth}
     return f"{name} {digest(canonical_json(content).encode())}"
+
+
+def evaluator_rating(evaluator: Evaluator, score: ScoreEntry) -> str:
+    """Returns the id of an evaluator's ratings."""
+    usual = (score.failed_worth, score.direction) == (0, "maximise")
+    return f"{evaluator.name} {evaluator.version}" + ("" if usual else f" {score.direction} {score.failed_worth!r}")

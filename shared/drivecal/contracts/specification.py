@@ -19,7 +19,7 @@ from pydantic import (
     model_validator,
 )
 
-from drivecal.contracts.strict_json import UNIQUE, Choice, Identifier, Name, Number, ProblemName
+from drivecal.contracts.strict_json import UNIQUE, Choice, Identifier, Name, Number, ProblemName, Source
 from drivecal.contracts.strict_json import Tag as CampaignTag
 from drivecal.domain.scales import Scale
 
@@ -150,7 +150,7 @@ class OptimizerSection(BaseModel):
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
     start_sets: Annotated[list[Values], Field(max_length=LARGEST_POPULATION, fail_fast=True)] = []
     """Sets from expert knowledge, which are simulated first, after the baseline."""
-    start_results: Annotated[str, StringConstraints(min_length=1, max_length=200, strip_whitespace=True)] | None = None
+    start_results: Source | None = None
     """Source of results from elsewhere, whose sets follow the start sets: at the nearest grid points, and simulated like any others."""
     population: Annotated[int, Field(ge=2, le=LARGEST_POPULATION)] | None = None
     """Parameter sets in each iteration; null of a search by the cell."""

@@ -126,12 +126,14 @@ _BLANK = "\u115f\u1160\u2800\u3164\uffa0"
 _STEERING = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 ONE_LINE = rf"^[^\x00-\x1f{_STEERING}]+$"
 Name = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=ONE_LINE), AfterValidator(_visible)]
+Source = Annotated[str, StringConstraints(min_length=1, max_length=200, strip_whitespace=True, pattern=ONE_LINE)]
+"""Name of a vehicle, test bench or tool."""
 Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=ONE_LINE), AfterValidator(_visible)]
 """Text that names a choice."""
 Tag = Annotated[
-    str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$"), AfterValidator(_visible)
+    str, StringConstraints(min_length=1, max_length=40, pattern=rf'^[^\x00-\x20{_STEERING},"\\]+$'), AfterValidator(_visible)
 ]
-"""A word without spaces and commas."""
+"""A word without spaces, commas, double quotes and backslashes, as it is searched for in JSON."""
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""

@@ -460,7 +460,27 @@ class ValidationRow(Answer):
     """Difference of neighbouring numbers in the histogram, in units of the score."""
 
 
+class ImportedRow(Answer):
+    """A score or measure from elsewhere, and its value in the stored simulation of the same cell.
+
+    `simulated` and `difference`, the imported value less the simulated one, are null without such a simulation.
+    """
+
+    source: str
+    date: str
+    owner: str | None
+    scenario: str
+    parameters: Annotated[dict[str, float | str], Spread()]
+    kind: Literal["score", "measure"]
+    name: str
+    unit: str | None
+    value: float
+    simulated: float | None
+    difference: float | None
+
+
 SolutionPage = Page[Solution]
 
-_OTHER_COLUMNS = frozenset(name for kind in (EvaluationRow, OptimumRow, FrontRow, RobustnessRow) for name in kind.model_fields)
+_ROWS = EvaluationRow, OptimumRow, FrontRow, RobustnessRow, ImportedRow
+_OTHER_COLUMNS = frozenset(name for kind in _ROWS for name in kind.model_fields)
 _PREFIXES = ("score_", "objective_", "constraint_", "value_", "answer_", "measure_")

@@ -63,7 +63,6 @@ def test_the_work_of_workers_is_read_once(database: Database) -> None:
     "change",
     [
         {"metrics": {"peak_lateral_acceleration_mps2": 0.3, "offset_m": 1e-300}},  # one bit away from 0.1 + 0.2
-        {"metrics": {"peak_lateral_acceleration_mps2": 0.1 + 0.2}},
         {"failure": "off_road"},
         {"score": 4},
         {"rating": 5.250000000000001},
@@ -75,6 +74,19 @@ def test_a_result_that_differs_in_a_bit_does_not_agree_and_changes_nothing(datab
         (stored,) = runs.insert_results(connection, [first])
         assert runs.insert_results(connection, [replace(first, **change)]) == [replace(stored, agrees=False)]
         assert runs.insert_results(connection, [first]) == [stored]
+
+
+def test_a_repeat_with_measures_that_were_declared_since_agrees_and_completes_the_run(database: Database) -> None:
+    with database.transaction() as connection:
+        one = new_run(setup_id(connection), *sample_set_ids(connection, 1))
+        (stored,) = runs.insert_results(connection, [one])
+        known = dict(one.metrics)
+        more = replace(one, metrics={"gap_m": 2.0} | dict([known.popitem()]), evaluator="learned 1", score=3)
+        assert runs.insert_results(connection, [more]) == [stored]
+        assert runs.metrics(connection, [stored.id]) == {stored.id: {**one.metrics, "gap_m": 2.0}}
+        assert runs.insert_results(connection, [one, more]) == [stored, stored]
+        rated = runs.look_up_exact(connection, one.setup_id, [one.parameter_set_id], "learned 1", 10**9)
+        assert [donor.score for donor in rated.values()] == [3]
 
 
 def test_two_results_of_one_cell_in_one_batch_are_stored_once(database: Database) -> None:

@@ -70,6 +70,11 @@ def test_a_score_of_zero_divides_by_one() -> None:
     assert deviation(np.array([0.0]), np.array([[2.0], [0.0]]), "mean").tolist() == [1.0]
 
 
+def test_no_change_of_a_score_of_zero_without_a_tolerance_is_robust() -> None:
+    scores = np.array([[0.0, 1.0], [0.0, 0.0]])
+    assert deviation(np.zeros(2), scores, "mean", 0.0).tolist() == [0.0, np.inf]
+
+
 @pytest.mark.parametrize("condition", ["max", "mean"])
 def test_a_vehicle_without_a_result_cannot_be_vouched_for(condition: Any) -> None:
     chosen = RobustnessSpecification(condition=condition, eta=100.0)

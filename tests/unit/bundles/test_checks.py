@@ -18,6 +18,7 @@ from tests.support.values import faults_of
 from drivecal.bundles.archives import BundleFile
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import score_id, setup_document
+from drivecal.bundles.manifest import ScoreEntry
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.scales import Direction
 
@@ -271,6 +272,8 @@ def test_the_id_of_a_score_follows_what_changes_its_numbers() -> None:
     assert identified("formula", " 100*energy_kwh +10/max(min_ttc_s,0.1)") == same
     for path, value in (("formula", "energy_kwh"), ("failed", 101)):
         assert identified(path, value) != same
+    comfort = ScoreEntry(evaluator="reference", direction="maximise", range=(0.0, 7.0))
+    assert len({score_id("own", comfort.model_copy(update={"failed": worth})) for worth in (0.0, -50.0)}) == 2
 
 
 def test_a_setup_follows_the_simulator_the_scenario_and_the_files_only(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,15 @@
 """DCM 2.0: what tools write is read, faults are named with their line. Round trips are in `test_curves.py`."""
 
 import contextlib
+from types import ModuleType
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.values import faults_of, faulty_fields, present
 
-from drivecal.calibration_data import dcm
+from drivecal.calibration_data import cdfx, dcm
+from drivecal.calibration_data.characteristics import Characteristic
 from drivecal.domain.errors import InvalidInputError
 
 
@@ -63,6 +65,12 @@ END
 def test_quotes_inside_a_string_are_read_as_tools_write_them(written: str) -> None:
     text = f'KONSERVIERUNG_FORMAT 2.0\nFESTWERT a\n  LANGNAME "{written}"\n  WERT 1\nEND\n'
     assert dcm.read(text.encode(), "a.dcm").characteristics[0].description == 'the "fast" gain'
+
+
+@pytest.mark.parametrize("module", [dcm, cdfx])
+def test_a_choice_comes_back_with_its_quotes_and_blanks(module: ModuleType) -> None:
+    written = module.write([Characteristic("mode", 'say  "x"', "1", "")])
+    assert [each.value for each in module.read(written, "a").characteristics] == ['say  "x"']
 
 
 def test_a_value_that_is_not_finite_concerns_its_own_parameter_only() -> None:

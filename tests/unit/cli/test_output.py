@@ -23,8 +23,8 @@ from drivecal.cli.views.output import cells_text, duration, print_campaign, prin
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
-from drivecal.contracts.outside.imported import ImportedRow
 from drivecal.contracts.results import ImportanceAnswer
+from drivecal.contracts.tables import ImportedRow
 from drivecal.domain.scales import objective_text
 
 CELLS = CellCounts(proposed=100, carried_over=40, requested=60, repeated=6, reused=9, simulated=44, failed=1, audited=2)
@@ -156,6 +156,7 @@ def test_small_and_large_objectives_keep_their_digits(objective: float, text: st
         (["compare-optimizers", "c.yaml", "--timeout", "3"], "--timeout needs --wait"),
         (["validate", "abcd", "--predicted", "--references", "3"], "leave it out with --predicted"),
         (["export", "abcd", "--json", "--format", "csv"], "--json is --format json"),
+        (["check", "abcd#1", "--names", "names.yaml"], "only DCM and CDFX files have labels"),
     ],
 )
 def test_an_option_without_effect_is_refused(given: list[str], refused: str) -> None:

@@ -9,6 +9,7 @@ from tests.support.values import faults_of
 from drivecal.bundles.manifest import Manifest
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
+from drivecal.contracts.outside.imported import ImportedResults
 from drivecal.contracts.specification import (
     CampaignChanges,
     CampaignSpecification,
@@ -26,6 +27,7 @@ PROBLEM = {
     "measures": {"y": "m"},
     "scores": {"c": {"formula": "y", "direction": "minimise", "range": [0, 1]}},
 }
+ROW = {"parameters": {"x": 1}, "scenario": "S1", "scores": {"cost": 1}}
 DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
     (CampaignSpecification, {"name": "a * b"}, "name"),
     (CampaignSpecification, CHOICES, "parameters[0].choices[1]"),
@@ -41,6 +43,7 @@ DOCUMENTS: list[tuple[type[BaseModel], dict[str, Any], str]] = [
     (CampaignChanges, {"name": "*"}, "name"),
     (CampaignChanges, {"tags": ["a", "b*"]}, "tags[1]"),
     (CampaignChanges, {"add_tags": ["*"]}, "add_tags[0]"),
+    (ImportedResults, {"problem": "p", "source": "a*b", "date": "2026-11-20", "rows": [ROW]}, "source"),
     (Manifest, PROBLEM, "parameters.x.choices[1]"),
 ]
 

@@ -20,7 +20,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles
 from drivecal.contracts.campaign import Campaign
-from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, ProposedSets
+from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet, Key, ProposedSets
 from drivecal.domain.errors import Diagnostics
 from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
@@ -111,7 +111,7 @@ def _answers(database: Database, campaign_id: str, after: int, limit: int) -> An
 
 
 @router.delete("/{campaign_id}/sets/{key}")
-def cancel_set(campaign_id: str, key: str, request: Request, database: DatabaseDependency) -> CancelledSet:
+def cancel_set(campaign_id: str, key: Key, request: Request, database: DatabaseDependency) -> CancelledSet:
     """Cancels a set, unless its cells were asked for already."""
     with database.transaction() as connection:
         refuse_others(request, campaign_id, campaigns.get(connection, campaign_id).owner)

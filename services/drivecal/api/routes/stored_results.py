@@ -3,10 +3,11 @@
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Query, Response
+from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
 
 from drivecal.api.dependencies import Accept, DatabaseDependency, Owner, computed
+from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters, TableOf
 from drivecal.api.tables.paging import listed, page_or_file
@@ -14,11 +15,11 @@ from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import given_sets, stored_simulations
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults, ImportedRow, Source
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
 from drivecal.contracts.specification import ProblemSpecification
-from drivecal.contracts.strict_json import ProblemName
-from drivecal.contracts.tables import Kind, columns_of
+from drivecal.contracts.strict_json import ProblemName, Source
+from drivecal.contracts.tables import ImportedRow, Kind, columns_of
 from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import imported
@@ -97,9 +98,11 @@ class SourceOf(Parameters):
 
 
 @router.delete("")
-def delete(query: Annotated[SourceOf, Query()], database: DatabaseDependency) -> ImportDeleted:
+def delete(query: Annotated[SourceOf, Query()], request: Request, database: DatabaseDependency) -> ImportDeleted:
     """Deletes the results of a source."""
     with database.transaction() as connection:
+        for owner in {row.owner for row in imported.listing(connection, query.problem, query.source)}:
+            refuse_others(request, query.source, owner)
         return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
 
 
@@ -135,9 +138,9 @@ def _beside_simulations(database: Database, problem: str, rows: Sequence[Importe
     if not rows:
         return []
     first = _simulated(database, problem, rows, None)
-    own = next(iter(first[0].bundle.manifest.scores))
-    names = dict.fromkeys(name for row in rows for name in row.scores)
-    scores = {own: first} | {name: _simulated(database, problem, rows, name) for name in names if name != own}
+    own, *others = first[0].bundle.manifest.scores
+    names = {name for row in rows for name in row.scores}
+    scores = {own: first} | {name: _simulated(database, problem, rows, name) for name in others if name in names}
     return [item for place, row in enumerate(rows) for item in _items(place, row, first, scores)]
 
 
@@ -159,6 +162,7 @@ def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[s
         made = bench.rate(row.scenario, row.measures, None) if row.scenario in bench.scenarios else None
         value = row.scores.get(name, None if made is None else made.score)
         values.append(("score", name, None, value, simulated[cell].score if cell in simulated else None))
+    values += [("score", name, None, value, None) for name, value in row.scores.items() if name not in scores]  # renamed since
     values += [("measure", name, units.get(name), value, measures.get(name)) for name, value in row.measures.items()]
     for kind, name, unit, value, known in values:
         if value is not None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from drivecal.analysis.scoring import rate
 from drivecal.bundles.expressions import Formula
-from drivecal.bundles.fingerprints import score_id, setup_document
+from drivecal.bundles.fingerprints import evaluator_rating, score_id, setup_document
 from drivecal.bundles.installed import Bundle
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.contracts.work import CellResult, SetupRequest, runs_in_worker
@@ -100,7 +100,7 @@ class Bench:
     @cached_property
     def requests(self) -> dict[str, SetupRequest]:
         """Run requests to workers by scenario."""
-        manifest = self.bundle.manifest
+        manifest, rater = self.bundle.manifest, self.evaluator
         # Each run of a child process is told its side conditions, as it is told its seed.
         is_told = bool(self.values or self.vehicles) and not runs_in_worker(self.section)
         served = replace(self, values={}, vehicles={}) if is_told else self
@@ -124,7 +124,7 @@ class Bench:
                 units=manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()},
                 reported=manifest.reported | manifest.series,
                 varied=self.vehicles.get(name, self.values),
-                evaluator=self.evaluator_id if self.needs_series else None,
+                evaluator=f"{rater.name} {rater.version}" if isinstance(rater, SeriesEvaluator) else None,
                 seed=self.seed,
                 session=sessions[name].fingerprint if sessions else "",
                 resources=manifest.resources(base_of(name)),
@@ -142,9 +142,9 @@ class Bench:
 
     @cached_property
     def evaluator_id(self) -> str:
-        """Name and version of the score: with the run fingerprint it names a rating."""
+        """Identifies the score: with the run fingerprint it names a rating."""
         if self.evaluator is not None:
-            return f"{self.evaluator.name} {self.evaluator.version}"
+            return evaluator_rating(self.evaluator, self._entry)
         return score_id(self.score, self._entry)
 
     @cached_property

@@ -133,6 +133,9 @@ def _search_task(
     most = problem.specification.replicates.most
     replicates = max(1, choosing(most) // problem.least_replicates) if problem.bench.is_random else 1
     known = [] if is_cut_off else _known(database, view, problem, aim, benches, replicates)
+    if constraints and known:  # they may be newer than what is stored
+        allowed = constraints.feasible(np.array([answer.cell.indices for answer in known]))
+        known = [answer for answer, is_allowed in zip(known, allowed, strict=True) if is_allowed]
     start, changes = problem.start_indices, problem.goals.changes
     best = [indices for indices in _best_known((aim, *variants), known) if list(indices) not in start.tolist()]
     first = {*best, *map(tuple, start.tolist())}  # asked all the same, so that the campaign ranks them

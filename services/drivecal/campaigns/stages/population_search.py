@@ -67,6 +67,7 @@ class PopulationSearch(ComputedSearch):
             if last is not None:
                 rows, changed = np.array(last.population, dtype=np.int64), np.array(last.changed, dtype=np.bool_)
                 asked = population_round(problem, rows, changed, dict(last.optimizer_state or {}))
+                self._changed = float(changed.sum()) if last.iteration else self._changed
                 self._asked = {last.iteration: asked}
                 here = campaign.sequence, self.name, last.iteration
                 is_open = not last.finished and self._search.ended_by is None

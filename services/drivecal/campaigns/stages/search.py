@@ -163,14 +163,17 @@ class SearchStage(Stage):
                 self._save(connection)  # what is noted at the end of a search
             return None
         with self._database.transaction() as connection:
+            last, _ = evaluations.cells_from(
+                connection, sequence, self.name, first
+            )  # further seeds may have had rounds in between
+            taken = max(first, last)
             if self._confirming is None:
                 tried = results.sets_since(connection, sequence, self.name, first)
                 last_look = self._search.last_look or []
-                self._confirming, taken = Confirming(limit, believed.objective, tried, last_look), 0
-            else:
-                tried, taken = self._confirming.tried, len(self._confirming.tried) - 1
-            for number in range(taken, len(tried)):
-                self._answers.add(self._answers.read(connection, sequence, first + number))
+                self._confirming, taken = Confirming(limit, believed.objective, tried, last_look), first
+            tried = self._confirming.tried
+            for number in range(taken, last + 1):
+                self._answers.add(self._answers.read(connection, sequence, number))
             if tried:
                 self._leader.describe(connection)
             chosen = self._confirming.choose(self._ranking)
@@ -185,7 +188,7 @@ class SearchStage(Stage):
             return None
         wanted = [RequestedCell(0, scenario, parameters, purpose=Purpose.CONFIRMATION) for scenario in chosen.reused]
         tried.append(chosen.parameter_set)
-        return Round(first + len(tried) - 1, [(self._problem.bench, wanted)], ReductionSpecification(mode="exact"))
+        return Round(last + 1, [(self._problem.bench, wanted)], ReductionSpecification(mode="exact"))
 
     def _last_look(self, limit: int) -> list[int]:  # a hook
         """Returns the ids of dismissed sets that all answers together believe within reach of the best set."""

@@ -34,7 +34,7 @@ from drivecal.configuration.documents import opened_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.campaign import STUDIES, Campaign, CellCounts, ExpectedRuns
 from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import ConflictError, NotFoundError
+from drivecal.domain.errors import ConflictError, DrivecalError, NotAuthorisedError, NotFoundError
 
 Answered = TypeVar("Answered")
 WaitOption = Annotated[bool, typer.Option("--wait", help="Show the progress until the campaign has ended.")]
@@ -185,19 +185,19 @@ def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOpti
     _raise(refused)
 
 
-def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[str, Answered], list[ConflictError]]:
+def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[str, Answered], list[DrivecalError]]:
     """Calls something about each of some campaigns. Returns the answers by id, and the refusals: they keep no other from being asked."""
     answers: dict[str, Answered] = {}
-    refused: list[ConflictError] = []
+    refused: list[DrivecalError] = []
     for campaign in chosen:
         try:
             answers[campaign] = call(campaign)
-        except ConflictError as error:
+        except (ConflictError, NotAuthorisedError) as error:
             refused.append(error)
     return answers, refused
 
 
-def _raise(refused: Sequence[ConflictError]) -> None:
+def _raise(refused: Sequence[DrivecalError]) -> None:
     """Says all refusals but the first, which it raises."""
     for other in refused[1:]:
         say(str(other))

@@ -234,6 +234,8 @@ def check(
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
+    if names is not None and not any(Path(given).suffix.lower() in CALIBRATION_FILES for given in (chosen, baseline or "")):
+        raise typer.BadParameter("only DCM and CDFX files have labels", param_hint="--names")
     with connect(url) as client:
         given = _set(client, chosen, names, variant)
         parameters, spec, reported = given.parameters, given.spec, given.seeds

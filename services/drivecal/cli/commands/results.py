@@ -206,6 +206,13 @@ def _format_of(output: str) -> Format:
     return cast("Format", ending or "csv")
 
 
+class _Quoting(yaml.SafeDumper):
+    """Writes texts in quotes: without them some readers take `08` or `1e3` for a number."""
+
+
+_Quoting.add_representer(str, lambda dumper, text: dumper.represent_scalar("tag:yaml.org,2002:str", text, style='"'))
+
+
 def _calibration_file(
     client: Client, identifier: str, table: TableName, form: Format, row: int, names: str | None, query: Mapping[str, Any]
 ) -> bytes:
@@ -224,7 +231,9 @@ def _calibration_file(
             raise NotFoundError("set", f"{identifier}#{row}", "fewer sets are ranked")
         document = {"parameters": chosen["parameters"]}
         written = json.dumps(document, ensure_ascii=False, indent=1) + "\n"
-        return (written if form == "json" else yaml.safe_dump(document, sort_keys=False, allow_unicode=True)).encode()
+        return (
+            written if form == "json" else yaml.dump(document, Dumper=_Quoting, sort_keys=False, allow_unicode=True)
+        ).encode()
     labels = {} if names is None else labels_of(read_document(names))
     rank, front = (None, row) if table == "front" else (row, None)
     given = {name: value for name, value in query.items() if name in {"weights", "score", "variant", "base"}}

@@ -388,10 +388,8 @@ class SurrogateSearch:
         return max(ranked, key=lambda each: each[0], default=None)
 
     def _dormant(self, merit: Merit) -> list[BegunSet]:
-        """Returns the most promising feasible sets that are known in part: new sets are others, so that all must be looked at."""
+        """Returns the most promising sets that are known in part: new sets are others, so that all must be looked at."""
         sets = self._answers.dormant
-        feasible = self._task.feasible(self._rows(sets)) if sets else ()
-        sets = [begun for begun, is_feasible in zip(sets, feasible, strict=True) if is_feasible]
         if len(sets) <= DORMANT:
             return sets
         drawn = self._drawn(sets, FEW_DRAWS)

@@ -7,6 +7,7 @@ from sqlalchemy import Connection, delete, func, select
 
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import ParameterSet
+from drivecal.storage.admission import alone
 from drivecal.storage.engine.bulk import execute_rows, insert, rows_among
 from drivecal.storage.engine.records import record
 from drivecal.storage.engine.tables import imported_results, parameter_sets
@@ -37,6 +38,7 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
 
     The rows are of one source and date. Raises ConflictError if a cell has other values already, or the problem has too many cells.
     """
+    alone(connection)
     table = imported_results.c
     ids = sets.ensure(connection, [each.parameters for each in given])
     places: dict[tuple[int, str], ImportedValues] = {}
@@ -60,8 +62,7 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
         {name: getattr(each, name) for name in as_it_is} | {"problem": problem, "parameter_set_id": number, "created_at": now()}
         for (number, _), each in places.items()
     ]
-    # the same rows may be stored by another request right now
-    execute_rows(connection, insert(connection, imported_results).on_conflict_do_nothing(), rows)
+    execute_rows(connection, insert(connection, imported_results), rows)
     return len(rows)
 
 

@@ -4,10 +4,11 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import repeat
+from math import nan
 from statistics import fmean
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, case, func, select
+from sqlalchemy import ColumnElement, Connection, Select, case, func, select, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
@@ -227,13 +228,19 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
         return []
     known = _stored(connection, results)
     stored, read = [known[_key(result)] for result in results], metrics_reader(connection)
+    before, values = [read(run.metrics) for run in stored], [finite(dict(result.metrics)) for result in results]
     repeats = [
-        run.failure == result.failure and read(run.metrics) == finite(dict(result.metrics))
-        for run, result in zip(stored, results, strict=True)
+        run.failure == result.failure and all(old.get(name, value) == value for name, value in new.items())
+        for run, result, old, new in zip(stored, results, before, values, strict=True)
     ]
     late: dict[tuple[int, str], NewRun] = {}
-    for run, result, same in zip(stored, results, repeats, strict=True):
-        if result.from_series and same and result.failure is None:
+    for run, result, old, new, same in zip(stored, results, before, values, repeats, strict=True):
+        is_more = same and not new.keys() <= old.keys()  # measures that the problem has declared since
+        if is_more:
+            kept = {name: nan if value is None else value for name, value in old.items()}
+            packed, *_ = pack_metrics(connection, [{**kept, **result.metrics}])
+            connection.execute(update(runs).where(runs.c.id == run.id).values(metrics=packed))
+        if (result.from_series or is_more) and same and result.failure is None:
             late.setdefault((run.id, result.evaluator), result)
     standing = _ratings(connection, sorted({run.id for run in stored}))
     missing = {key: result for key, result in late.items() if key not in standing}

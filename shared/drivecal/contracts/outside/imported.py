@@ -1,20 +1,16 @@
 """Results from elsewhere: of a vehicle, a test bench or another tool."""
 
 from datetime import date as Date  # noqa: N812  a field has this name
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, model_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import Model, Values
-from drivecal.contracts.strict_json import Identifier, Number, ProblemName
-from drivecal.contracts.tables import Spread
+from drivecal.contracts.strict_json import Identifier, Number, ProblemName, Source
 
 MOST_ROWS = 10_000
 """Cells of a request."""
-
-Source = Annotated[str, StringConstraints(min_length=1, max_length=200, strip_whitespace=True)]
-"""Name of a vehicle, test bench or tool."""
 
 
 class ImportedCell(Model):
@@ -56,22 +52,3 @@ class ImportDeleted(Answer):
     """How many cells were deleted."""
 
     deleted: int
-
-
-class ImportedRow(Answer):
-    """A score or measure from elsewhere, and its value in the stored simulation of the same cell.
-
-    `simulated` and `difference`, the imported value less the simulated one, are null without such a simulation.
-    """
-
-    source: str
-    date: str
-    owner: str | None
-    scenario: str
-    parameters: Annotated[dict[str, float | str], Spread()]
-    kind: Literal["score", "measure"]
-    name: str
-    unit: str | None
-    value: float
-    simulated: float | None
-    difference: float | None

@@ -11,8 +11,8 @@ from drivecal.contracts.strict_json import Identifier
 
 MOST_SETS = 1_000
 """Sets of a request."""
-Key = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[A-Za-z0-9._:~-]+$")]
-"""Letters, digits and `._:~-`, so that it can stand in a URL."""
+Key = Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=r"^[A-Za-z0-9_:~-][A-Za-z0-9._:~-]*$")]
+"""Letters, digits and `._:~-`, no point first, so that it can stand in a URL."""
 
 
 class ProposedSet(Model):

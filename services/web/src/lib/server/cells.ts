@@ -3,6 +3,7 @@
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
 import { cell, type Table } from "./columns";
+import { knownOf } from "../text/words";
 import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
 
 /** One of two sets that a view compares. */
@@ -12,6 +13,9 @@ export interface SetSide {
   column: string;
   parameters: Values;
   scores: Readonly<Record<string, number | null>>;
+  objective?: number | null;
+  /** What the runs of a random simulator tell of it; empty without them. */
+  known?: string;
   /** How each scenario was answered. */
   answers?: Readonly<Record<string, string>> | undefined;
   /** Seeds of the runs that make its scores, if there are several. */
@@ -66,7 +70,7 @@ export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
   const { rank, iteration, individual, parameters, scores, seeds } = set;
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
-  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, ...("objective" in set && { objective: set.objective, known: knownOf(set) }), cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */

@@ -1,7 +1,7 @@
 /** Meanings of the terms: as tooltips, and in the glossary of the documentation. */
 
 import type { Best, Campaign, Difference, Moving } from "../server/types";
-import { number, percent } from "./format";
+import { count, number, percent } from "./format";
 
 /** What happened to cells, by the kind of the cause. */
 export const FAILURES = { no_result: "no result", retried: "no result at first", failed: "failed run", unscored: "score without a value" } as const;
@@ -79,6 +79,12 @@ export function brokenText({ violation, undecided }: Pick<Best, "violation" | "u
 export function intervalText({ lower, upper }: Pick<Best, "lower" | "upper">): string {
   const ends = [lower, upper].map((end) => (typeof end === "number" ? number(end) : "unknown"));
   return ends.every((end) => end === "unknown") ? "" : ends.join(" to ");
+}
+
+/** What the runs of a random simulator tell of a ranked set; empty without them. */
+export function knownOf(set: Pick<Best, "lower" | "upper" | "failures" | "replicates">): string {
+  const interval = intervalText(set);
+  return interval && `Objective ${interval} by the seeds that report it, of ${count(set.replicates)}; ${count(set.failures)} of all its runs failed.`;
 }
 
 /** The signs of lights; `open` while a search goes on. */
