@@ -136,6 +136,8 @@ class Evidence:
     front: Compromises | None = None
     chosen: Chosen | None = None
     bounded: Sequence[str] = ()
+    has_failures: bool = False
+    """Runs failed, of whichever set."""
     has_unknown_noise: bool = False
     """The search has ended, its simulator is random, and too few sets ran under several seeds."""
 
@@ -163,7 +165,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_noise(campaign),
         *_failures(campaign),
         *_cut(campaign),
-        *_robustness(known.studies),
+        *_robustness(campaign, known.studies),
     ]
     verdicts.sort(key=lambda each: _ORDER.index(each.light))
     return ResultTrust(answers=answers(verdicts, ended=CampaignState(campaign.state).ended), verdicts=verdicts)
@@ -197,7 +199,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _seen(campaign, search)
     else:
         yield from _constraints(campaign, known.bounded)
-        yield from (*_confirmation(campaign), *_baseline(campaign), *_course(campaign, search))
+        yield from (*_confirmation(campaign), *_baseline(campaign, known), *_course(campaign, search))
         if campaign.best is not None:
             yield from _at_ends("the best set", campaign.best.parameters, search)
 
@@ -315,7 +317,7 @@ def _confirmation(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("scores_simulated", "green", subject="the best set")
 
 
-def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
+def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if campaign.best is None or campaign.baseline is None:
         return
     if campaign.baseline.objective is None:
@@ -331,6 +333,8 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
         under = ""
         gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     undecided = campaign.baseline.undecided or campaign.best.undecided
+    fewest, most = campaign.best.failure_interval or (0.0, 0.0)
+    unseen = most if known.has_failures and fewest == 0 and campaign.objective is None else 0.0
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif campaign.baseline.close:
@@ -340,6 +344,8 @@ def _baseline(campaign: Campaign) -> Iterator[ResultVerdict]:
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)
         yield verdict("alike_baseline", "neutral", gain=gain, under=under, tolerance=tolerance)
+    elif gain <= unseen * abs(failed - campaign.best.objective):
+        yield verdict("failures_may_decide", "neutral", gain=gain, under=under, most=most, failed=failed)
     else:
         yield verdict("better_than_baseline", "green", gain=gain, under=under)
 
@@ -522,12 +528,14 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
     cells, best = campaign.cells, campaign.best
-    if best is not None and best.failure_interval is not None and not best.failures:
-        yield verdict("failures_unseen", "neutral", most=best.failure_interval[1])
+    if best is not None and best.failure_interval is not None:
+        is_permitted = any("rate" in each for each in campaign.spec.get("constraints") or () if isinstance(each, dict))
+        light: Light | Literal["neutral"] = "amber" if best.failures and not is_permitted else "neutral"
+        yield verdict("failing_runs", light, failures=best.failures, most=best.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)
-            light: Light | Literal["neutral"] = "amber" if share > FEW else "neutral"
+            light = "amber" if share > FEW else "neutral"
             yield verdict(code, light, count=count, requested=cells.requested, share=share)
 
 
@@ -541,15 +549,17 @@ def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:
     yield verdict("cut", "amber" if at_end or share > FEW else "neutral", count=cut, share=share, failed=failed, best=at_end)
 
 
-def _robustness(studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
+def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
     driven = (study for study in studies if study.study.in_own_vehicle)
     recommended = next((row for study in driven for row in study.robustness if row.recommended), None)
     if recommended is not None:
-        code, light = ("robust", "green") if recommended.degree else ("not_robust", "amber")
+        is_bounded = campaign.best is not None and bool(campaign.best.constraints)
+        unseen = "; its constraints were not looked at there (`drivecal check --vehicle-parameters`)" if is_bounded else ""
+        code, light = ("robust", "neutral" if unseen else "green") if recommended.degree else ("not_robust", "amber")
         least = "at least " if recommended.at_least else ""
         most = recommended.failing_at_most
         failing = "" if most is None else f"; up to {100 * most:.1f} % of all such vehicles may still break it (95 %)"
-        yield verdict(code, light, least=least, radius=recommended.radius, failing=failing)  # type: ignore[arg-type]  # a literal
+        yield verdict(code, light, least=least, radius=recommended.radius, failing=failing, unseen=unseen)  # type: ignore[arg-type]  # a literal
 
 
 def _newest(studies: Iterable[StudyResult], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:

@@ -157,7 +157,11 @@ def test_validated_predictions_are_held_against_their_limit(beyond: int, lower: 
 
 def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     seeded = {"failures": 0, "failure_interval": (0.0, 0.07)}
-    assert lights(campaign(best=BEST.model_copy(update=seeded)))["failures_unseen"] == "neutral"
+    assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "neutral"
+    seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
+    assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
+    rated = {"optimizer": {"kind": "genetic"}, "constraints": [{"rate": 0.1}]}
+    assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == "neutral"
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
     result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
     assert result == {
@@ -173,6 +177,13 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     assert lights(campaign(), has_unknown_noise=True)["noise_unknown"] == "amber"
     worst = BEST.model_copy(update={"scores": {"S1": COST.failed, "S2": 3.0}})
     assert verdicts(campaign(cells={"cut": 1}, best=worst, scale=COST))["cut"].numbers["best"] == ["S1"]
+
+
+@pytest.mark.parametrize(("most", "fails", "light"), [(0.3, True, "green"), (0.4, True, None), (0.4, False, "green")])
+def test_a_gain_that_unseen_failures_may_cost_is_not_known(most: float, fails: bool, light: str | None) -> None:
+    best = BEST.model_copy(update={"failure_interval": (0.0, most)})
+    result = trust(campaign(best=best, baseline=before(4.0)), Evidence(has_failures=fails))
+    assert result.light("baseline") == light  # a failed run is worth 0, the best set 6
 
 
 @pytest.mark.parametrize(
@@ -401,6 +412,8 @@ def test_several_objectives_count_the_sets_that_beat_the_baseline(dominating: in
 def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:
     assert lights(campaign(), studies=[studied(robust(0))])["not_robust"] == "amber"
     assert lights(campaign(), studies=[studied(robust(3))])["robust"] == "green"
+    bounded = BEST.model_copy(update={"constraints": {"max of y": 1.0}})
+    assert lights(campaign(best=bounded), studies=[studied(robust(3))])["robust"] == "neutral"
 
 
 @pytest.mark.parametrize(

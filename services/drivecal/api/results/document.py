@@ -27,6 +27,7 @@ from drivecal.campaigns.results.front import CampaignFront, StoredRanking, basel
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
+from drivecal.contracts.evaluation import FailureCause
 from drivecal.contracts.results import Accounting, CampaignResults, ResultTrust, StudyResult
 from drivecal.contracts.setup import CampaignSetup, ScenarioSetup, SearchedParameter
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -65,7 +66,7 @@ def results_of(
     return CampaignResults(
         campaign=campaign_answer(campaign, now(), silent=None),
         setup=known,
-        trust=_trust(stored, made, front, chosen),
+        trust=_trust(stored, made, causes, front, chosen),
         accounting=accounting,
         front=summary(front, baseline) if objectives and front is not None else None,
         failures=causes,
@@ -135,7 +136,13 @@ def _map_origin(connection: Connection, campaign: StoredCampaign) -> MapOrigin |
     return MapOrigin(stored.id, maker.id, evaluations.costs_by_outcome(connection, maker.sequence))
 
 
-def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront | None, chosen: Chosen | None) -> ResultTrust:
+def _trust(
+    stored: StoredRanking,
+    made: list[StudyResult],
+    causes: list[FailureCause],
+    front: CampaignFront | None,
+    chosen: Chosen | None,
+) -> ResultTrust:
     campaign = stored.campaign
     with stored.database.read() as connection:
         search = _search(connection, stored)
@@ -150,7 +157,8 @@ def _trust(stored: StoredRanking, made: list[StudyResult], front: CampaignFront 
     bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names), seeds)
     unknown = is_random and not (noise and all(each.is_known for each in noise))
     compromises = _compromises(stored, front)
-    known = Evidence(made, search, compromises, chosen, bounded, has_unknown_noise=unknown)
+    has_failures = any(cause.kind == "failed" for cause in causes)
+    known = Evidence(made, search, compromises, chosen, bounded, has_failures, unknown)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 

@@ -300,6 +300,8 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
     if given != "-" and not Path(given).exists():
         raise NotFoundError("file", given, "the best set of a campaign is ID#1")
+    if Path(given).suffix.lower() == ".csv":
+        raise typer.BadParameter("a set is read from YAML, JSON, DCM or CDFX, not from CSV")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
         return GivenSet(document.get("parameters", document))

@@ -175,7 +175,9 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     ]
     caption = "The best sets; equal objectives are ordered by the continuous rating"
     if random:
-        caption = "The best sets, by what each reaches at least as far as its runs tell"
+        caption = (
+            "The best sets, by what each reaches at least under the seeds that choose; further seeds, if any, give the figures"
+        )
     if any(solution.reused for solution in solutions):
         caption += ". *: the score is that of a reference, this very set was not simulated there"
     header = ["rank", "objective", "rating", *uncertain, *broken, *first.constraints, *first.scores, *first.parameters]
