@@ -80,7 +80,8 @@ class BesideBaseline:
 class Chosen:
     """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
     score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
-    objective and constraint has a value. `is_best`: the search ended with this set. `bounded`: as of `Evidence`."""
+    objective and constraint has a value. `is_best`: the search ended with this set. `is_random`: other seeds give other values.
+    `bounded`: as of `Evidence`."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -90,6 +91,7 @@ class Chosen:
     baseline_violation: float = 0.0
     is_judged: bool = True
     is_best: bool = False
+    is_random: bool = False
     failed: Sequence[str] = ()
     scenarios: int = 1
     bounded: Sequence[str] = ()
@@ -189,10 +191,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
-        own = campaign.confirmation is None or not chosen.is_best or front is not None
-        yield from _chosen(chosen, search, with_origin=own)
-        if not own:
-            yield from _confirmation(campaign)
+        yield from _chosen(chosen, search)
         yield from _course(campaign, search)
     elif front is not None:
         yield from (*_constraints(campaign, known.bounded, " by the first objective"), *_front(campaign, front))
@@ -204,7 +203,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
             yield from _at_ends("the best set", campaign.best.parameters, search)
 
 
-def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -> Iterator[ResultVerdict]:
+def _chosen(chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
     """Yields constraints, origin of the scores, baseline, and values at an end of their range."""
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
@@ -217,19 +216,18 @@ def _chosen(chosen: Chosen, search: SearchCourse | None, *, with_origin: bool) -
     elif bounded:
         yield verdict("constraints_kept", "green", subject="The chosen set", bounded=bounded)
     yield from _failing("the chosen set", chosen.failed, chosen.scenarios)
-    if with_origin:
-        copied = list(chosen.copied)
-        yield (
-            verdict("scores_copied", "amber", scenarios=copied)
-            if copied
-            else verdict("scores_simulated", "green", subject="the chosen set")
-        )
+    if chosen.copied:
+        yield verdict("scores_copied", "amber", scenarios=list(chosen.copied))
+    else:
+        yield verdict("scores_simulated", "green", subject="the chosen set")
     if chosen.violation < chosen.baseline_violation and not chosen.undecided:
         yield verdict("baseline_breaks_more", "green", subject="the chosen set")
     elif chosen.compared:
         counted = [each.gain for each in chosen.compared if not each.is_alike]
         light: Light | Literal["neutral"] = "amber"
-        if counted:
+        if chosen.is_random:
+            light = "neutral"  # means of different seeds tell too little
+        elif counted:
             light = "green" if min(counted) > 0 else "amber"
         elif any(each.gain > grain(each.value, each.baseline) for each in chosen.compared):
             light = "neutral"
@@ -381,7 +379,7 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.budget is None:
         return
     stored = campaign.cells.repeated if _has_outlook(campaign) else 0  # a search by the cell counts them
-    further = {"simulations": f", and {stored:,} answers that were stored, which count as well"} if stored else {}
+    further = {"simulations": f", and {stored:,} answers that were stored; those of the search count as well"} if stored else {}
     used = [
         f"{round(spent, 1):,} of {limit:,.12g} {unit}{further.get(unit, '')}"
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))

@@ -278,7 +278,7 @@ class GoalSpecification(Model):
         if len(named) > 1:
             raise ValueError(f"it names {' and '.join(named)}; give one of them")
         if not named and not getattr(self, "counts_failures", False):
-            raise ValueError("it names no value; give score, measure, changes or distance")
+            raise ValueError("it names no value; give score, measure, changes, distance or, as a constraint, rate")
         fields = type(self).model_fields
         others = [name for name in _OF_RUNS if name in fields and getattr(self, name) not in (fields[name].default, "minimise")]
         if others and named in (["changes"], ["distance"]):

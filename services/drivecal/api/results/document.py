@@ -63,6 +63,8 @@ def results_of(
         front = front_of(stored)
     baseline = None if front is None else baseline_of(database, campaign, front)
     chosen = None if front is None or place is None else set_at(stored, front, place, baseline)
+    if chosen is not None and chosen.is_best and not objectives:
+        chosen = None  # its verdicts are the campaign's
     return CampaignResults(
         campaign=campaign_answer(campaign, now(), silent=None),
         setup=known,
@@ -209,6 +211,7 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,
         is_best=is_best,
+        is_random=judged.replicates > 1 or judged.standard_error is not None,
     )
 
 

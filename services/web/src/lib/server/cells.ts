@@ -14,6 +14,8 @@ export interface SetSide {
   parameters: Values;
   scores: Readonly<Record<string, number | null>>;
   objective?: number | null;
+  /** Number of its seeds. */
+  replicates?: number;
   /** What the runs of a random simulator tell of it; empty without them. */
   known?: string;
   /** How each scenario was answered. */
@@ -70,7 +72,7 @@ export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
   const { rank, iteration, individual, parameters, scores, seeds } = set;
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
-  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, ...("objective" in set && { objective: set.objective, known: knownOf(set) }), cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, replicates: set.replicates, ...("objective" in set && { objective: set.objective, known: knownOf(set) }), cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */
