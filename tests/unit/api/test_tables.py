@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from tests.support.values import faults_of
@@ -70,7 +70,6 @@ def content(form: Literal["csv", "parquet"], pieces: Sequence[list[dict[str, Any
     return asyncio.run(collect())
 
 
-@settings(deadline=None)
 @given(st.lists(rows, max_size=3))
 def test_parquet_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> None:
     table = pq.read_table(io.BytesIO(content("parquet", pieces)))
@@ -78,7 +77,6 @@ def test_parquet_gives_back_what_was_written(pieces: list[list[dict[str, Any]]])
     assert table.to_pylist() == [row for piece in pieces for row in piece]
 
 
-@settings(deadline=None)
 @given(st.lists(rows, max_size=3))
 def test_csv_gives_back_what_was_written(pieces: list[list[dict[str, Any]]]) -> None:
     lines = list(csv.reader(io.StringIO(content("csv", pieces).decode(), newline="")))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.values import faulty_fields
 
@@ -60,7 +60,6 @@ def test_yaml_is_read_by_its_core_schema(tmp_path: Path) -> None:
     }
 
 
-@settings(deadline=None)
 @given(document=st.dictionaries(st.text(st.characters(codec="utf-8")), plain))
 def test_json_is_read_as_it_is_meant(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> None:
     assert read(tmp_path_factory.mktemp("json"), json.dumps(document), "campaign.json") == document
@@ -74,7 +73,6 @@ values: st.SearchStrategy[Any] = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(document=st.dictionaries(words, values, max_size=4))
 def test_yaml_that_is_written_is_read_back(document: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> None:
     class NoAliases(yaml.SafeDumper):

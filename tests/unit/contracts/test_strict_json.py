@@ -4,7 +4,7 @@ import json
 from contextlib import suppress
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivecal.contracts.strict_json import DEEPEST, loads, shown
@@ -17,14 +17,12 @@ plain = st.recursive(
 )
 
 
-@settings(deadline=None)
 @given(plain)
 def test_what_is_plain_json_is_read_as_python_reads_it(document: object) -> None:
     content = json.dumps(document).encode()
     assert loads(content) == json.loads(content)
 
 
-@settings(deadline=None)
 @given(st.binary(max_size=200))
 def test_any_bytes_are_either_read_or_refused(content: bytes) -> None:
     with suppress(InvalidInputError):
@@ -67,7 +65,6 @@ def test_a_byte_order_mark_and_whole_surrogate_pairs_are_read() -> None:
     assert loads(b"\xef\xbb\xbf" + rb'"\ud83d\ude97"') == "\N{AUTOMOBILE}"
 
 
-@settings(deadline=None)
 @given(st.text() | st.floats() | st.integers() | st.none() | st.booleans() | st.lists(st.integers()))
 def test_a_value_in_a_message_is_short_and_on_one_line(value: object) -> None:
     text = shown(value)

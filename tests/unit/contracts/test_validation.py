@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import BaseModel
 from tests.support.values import faults_of
@@ -81,7 +81,6 @@ anything: st.SearchStrategy[Any] = st.recursive(
 fields = [*CampaignSpecification.model_fields, "scenarios", "scenario", "map"]
 
 
-@settings(deadline=None)
 @given(st.dictionaries(st.sampled_from(fields), anything), st.sampled_from([CampaignSpecification, EvaluationSpecification]))
 def test_any_document_is_either_accepted_or_refused_with_reasons(document: object, model: type[BaseModel]) -> None:
     try:

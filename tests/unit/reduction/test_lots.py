@@ -35,7 +35,6 @@ def test_samples_are_those_of_the_tables_of_dodge_and_romig(size: int, limit: fl
     assert smallest_plan(size, limit, acceptance=1).sample == sample
 
 
-@settings(deadline=None)
 @given(st.integers(1, 4000), st.sampled_from([0.01, 0.02, 0.05, 0.1]), st.integers(0, 5))
 def test_a_smallest_plan_keeps_the_limit_and_one_cell_less_does_not(size: int, limit: float, acceptance: int) -> None:
     plan = smallest_plan(size, limit, acceptance)

@@ -151,7 +151,6 @@ def test_a_lane_that_ends_is_no_road_any_more() -> None:
     assert observed([], 260.0, 3.5, lanes)["right_lane_exists"] == 0
 
 
-@settings(deadline=None)  # the first call compiles
 @given(
     st.floats(0.0, 600.0),
     st.floats(-5.0, 12.0),
