@@ -46,6 +46,11 @@ def campaign(connection: Connection, name: str = "campaign") -> StoredCampaign:
     return campaigns.insert(connection, name=name, spec={"name": name})
 
 
+def begun(connection: Connection, count: int) -> tuple[int, int, list[int]]:
+    """A queued campaign, a setup of S1 and as many parameter sets: their numbers."""
+    return campaign(connection).sequence, setup_id(connection), sample_set_ids(connection, count)
+
+
 def new_evaluation(
     stage: StageName,
     iteration: int,

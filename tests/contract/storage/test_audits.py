@@ -1,6 +1,6 @@
 import pytest
 from sqlalchemy import Connection
-from tests.support.storage import EVALUATOR, campaign, cell, sample_set_ids, setup_id, simulate
+from tests.support.storage import EVALUATOR, begun, campaign, cell, setup_id, simulate
 from tests.support.values import COST
 
 from drivecal.domain.campaigns import StageName
@@ -14,8 +14,7 @@ KEY, OTHER_KEY = b"k" * 16, b"o" * 16
 
 def audited(connection: Connection) -> tuple[int, list[int]]:
     """A campaign with a donor of score 5 and audits of it: scores 5, 4 in iteration 1, 2 in iteration 2, one pending."""
-    sequence, setup = campaign(connection).sequence, setup_id(connection)
-    sets = sample_set_ids(connection, 6)
+    sequence, setup, sets = begun(connection, 6)
     simulate(connection, sequence, [cell(0, setup, sets[0])], score=5)
     donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
     ids: list[int] = []
@@ -38,8 +37,7 @@ def test_audits_are_settled_by_comparing_the_score_with_the_donors(database: Dat
 def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Database) -> None:
     """The evaluation that made a run may have been rated by another evaluator: its score is not the one to compare with."""
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        sequence, setup, sets = begun(connection, 2)
         simulate(connection, campaign(connection).sequence, [cell(0, setup, sets[0])], score=5)
         ratings.insert(connection, "learned 1", [(runs.largest_id(connection), Rating(2.0, 2))])
         donor = runs.look_up_exact(connection, setup, sets, "learned 1", 10**6)[sets[0]]
@@ -52,8 +50,7 @@ def test_a_donor_counts_as_the_campaigns_own_evaluator_rates_it(database: Databa
 
 def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stored_of_its_cell(database: Database) -> None:
     with database.transaction() as connection:
-        faster, sequence, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        faster, (sequence, setup, sets) = campaign(connection).sequence, begun(connection, 2)
         simulate(connection, faster, [cell(0, setup, sets[0])], score=5)
         simulate(connection, sequence, [cell(0, setup, sets[0])], score=2)
         donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
@@ -66,8 +63,7 @@ def test_a_donor_of_the_campaigns_own_counts_as_it_was_answered_whatever_is_stor
 @pytest.mark.parametrize(("scores", "expected"), [((5, 5), {}), ((5, 4), {"S1": 1}), ((5, 4, 3), {"S1": 1})])
 def test_scores_under_one_key_contradict_once(database: Database, scores: tuple[int, ...], expected: dict[str, int]) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, len(scores) + 2)
+        sequence, setup, sets = begun(connection, len(scores) + 2)
         for number, score in enumerate(scores):
             simulate(connection, sequence, [cell(number, setup, sets[number], reference_key=KEY)], score=score)
         others = [cell(90, setup, sets[-1], reference_key=OTHER_KEY), cell(91, setup, sets[-2])]
@@ -82,8 +78,7 @@ def test_scores_under_one_key_contradict_once(database: Database, scores: tuple[
 
 def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_sees(database: Database) -> None:
     with database.transaction() as connection:
-        first, sequence, setup = campaign(connection).sequence, campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        first, (sequence, setup, sets) = campaign(connection).sequence, begun(connection, 2)
         simulate(connection, first, [cell(0, setup, sets[0])], score=5)
         watermark = runs.largest_id(connection)
         simulate(connection, sequence, [cell(0, setup, sets[1], reference_key=KEY)], score=3)
@@ -98,8 +93,7 @@ def test_a_stored_reference_contradicts_as_well_but_only_one_that_the_campaign_s
 def test_scores_without_steps_are_compared_by_their_scale(database: Database) -> None:
     """Rounding is no difference; more than the tolerance of 2 is wrong."""
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 6)
+        sequence, setup, sets = begun(connection, 6)
         simulate(connection, sequence, [cell(0, setup, sets[0], reference_key=KEY)], score=50.25)
         donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         ids: list[int] = []

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sqlalchemy.exc import IntegrityError
-from tests.support.storage import campaign, cell, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import begun, campaign, cell, sample_set_ids, sample_sets, setup_id, simulate
 from tests.support.values import present
 
 from drivecal.domain.campaigns import StageName
@@ -19,8 +19,7 @@ SIMULATED, REPEATED, REUSED, FAILED = Outcome.SIMULATED, Outcome.REPEATED, Outco
 @pytest.mark.slow("sqlite")
 def test_a_population_gets_its_ids_in_order_and_waits(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2500)
+        sequence, setup, sets = begun(connection, 2500)
         ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
     with database.read() as connection:
         waiting = results.pending(connection, sequence)
@@ -54,8 +53,7 @@ def test_a_copy_of_a_stored_result_has_its_answer_at_once(database: Database) ->
 
 def test_an_inspected_cell_without_a_result_is_no_simulated_one(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        sequence, setup, sets = begun(connection, 2)
         drawn = [cell(number, setup, one, purpose=Purpose.SAMPLE) for number, one in enumerate(sets)]
         done, broken = evaluations.insert(connection, sequence, drawn)
         simulated = AnsweredCell(done, SIMULATED, 6, 5.75, None)
@@ -66,8 +64,7 @@ def test_an_inspected_cell_without_a_result_is_no_simulated_one(database: Databa
 
 def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        sequence, setup, sets = begun(connection, 2)
         cells = [
             cell(0, setup, sets[0]),
             cell(1, setup, sets[0], plan=REPEATED, leader=0),
@@ -84,10 +81,8 @@ def test_a_cell_that_waits_for_another_of_its_population_names_it(database: Data
 
 def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        ids = evaluations.insert(
-            connection, sequence, [cell(n, setup, one) for n, one in enumerate(sample_set_ids(connection, 3))]
-        )
+        sequence, setup, sets = begun(connection, 3)
+        ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         broken = AnsweredCell(ids[0], FAILED, None, None, None, failure="hang", worker="w", attempts=3)
         evaluations.answer(connection, [broken])
         late = [replace(broken, id=item, outcome=SIMULATED, score=1, rating=1.0, failure=None) for item in ids[:2]]
@@ -100,16 +95,14 @@ def test_an_answer_is_stored_once_and_a_late_one_changes_nothing(database: Datab
 
 def test_the_same_cell_of_a_population_cannot_be_stored_twice(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
+        sequence, setup, (one,) = begun(connection, 1)
     with pytest.raises(IntegrityError), database.transaction() as connection:
         evaluations.insert(connection, sequence, [cell(0, setup, one), cell(0, setup, one)])
 
 
 def test_numpy_numbers_are_stored_as_numbers(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
+        sequence, setup, (one,) = begun(connection, 1)
         (stored,) = evaluations.insert(connection, sequence, [cell(np.int64(4), setup, one, iteration=np.int64(2))])
         result = results.by_id(connection, stored)
         assert (result.iteration, result.individual) == (2, 4)
@@ -118,8 +111,7 @@ def test_numpy_numbers_are_stored_as_numbers(database: Database) -> None:
 def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_campaign(database: Database) -> None:
     key, other = b"k" * 16, b"o" * 16
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 6)
+        sequence, setup, sets = begun(connection, 6)
         # Stored out of order; the certified first one, the copy and the pending cell must not hide it.
         later = cell(1, setup, sets[0], iteration=1, reference_key=key)
         first = cell(3, setup, sets[1], iteration=0, reference_key=key)
@@ -143,8 +135,7 @@ def test_own_references_are_the_first_simulated_answers_in_the_order_of_the_camp
 def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> None:
     key = b"k" * 16
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 2)
+        sequence, setup, sets = begun(connection, 2)
         calibration = cell(0, setup, sets[0], iteration=0, reference_key=key)
         sensitivity = cell(5, setup, sets[1], iteration=7, stage=StageName.SENSITIVITY, reference_key=key)
         ids = simulate(connection, sequence, [calibration, sensitivity])
@@ -154,8 +145,7 @@ def test_the_sensitivity_stage_comes_before_calibration(database: Database) -> N
 
 def test_copies_of_a_cell_without_a_result_are_simulated_instead(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 3)
+        sequence, setup, sets = begun(connection, 3)
         cells = [cell(0, setup, sets[0]), *(cell(n, setup, sets[n], plan=REUSED, leader=0) for n in (1, 2))]
         leader, copy, answered = evaluations.insert(connection, sequence, cells)
         broken = [AnsweredCell(item, FAILED, None, None, None, failure="hang") for item in (leader, answered)]

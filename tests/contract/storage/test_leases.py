@@ -7,7 +7,7 @@ import pytest
 from sqlalchemy import Connection, select, text
 from tests.contract.storage.conftest import Backend
 from tests.contract.storage.test_query_plans import gather_statistics, plans, scanned
-from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
+from tests.support.storage import begun, cell
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome
@@ -23,9 +23,8 @@ HOUR = 3600.0
 def pending(database: Database, count: int) -> list[int]:
     """Evaluations without an answer."""
     with database.transaction() as connection:
-        setup, sets = setup_id(connection), sample_set_ids(connection, count)
-        cells = [new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets)]
-        return evaluations.insert(connection, campaign(connection).sequence, cells)
+        sequence, setup, sets = begun(connection, count)
+        return evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
 
 
 def take(database: Database, ids: list[int], breakdowns: int = 0, seconds: float = HOUR) -> dict[int, int]:

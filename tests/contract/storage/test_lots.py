@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import pytest
-from tests.support.storage import campaign, new_evaluation, new_run, sample_set_ids, setup_id, simulate
+from tests.support.storage import begun, campaign, new_evaluation, new_run, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Purpose
@@ -57,8 +57,7 @@ def test_lots_of_both_kinds_may_belong_to_a_batch_and_are_told_apart(database: D
 
 def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_references(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 6)
+        sequence, setup, sets = begun(connection, 6)
         (number,) = lots.insert(connection, sequence, [replace(LOT, kind=Outcome.REUSED, size=4, sample=3)])
         cell = new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED, reference_key=b"key")
         (reference,) = simulate(connection, sequence, [cell], score=5, rating=5.25)
@@ -95,8 +94,7 @@ def test_a_lot_of_references_waits_is_drawn_as_audits_and_compared_with_its_refe
 
 def test_samples_are_simulated_compared_and_known_with_their_weight(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 4)
+        sequence, setup, sets = begun(connection, 4)
         (number,) = lots.insert(connection, sequence, [LOT])
         bare = new_evaluation(CALIBRATION, 2, 0, "S1", setup, sets[0], Outcome.PREDICTED)
         predicted = [
@@ -142,8 +140,7 @@ def test_samples_are_simulated_compared_and_known_with_their_weight(database: Da
 @pytest.mark.parametrize("outcome", [Outcome.PREDICTED, Outcome.REUSED])
 def test_predicted_answers_are_not_the_sets_own(database: Database, outcome: Outcome) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (own,) = sample_set_ids(connection, 1)
+        sequence, setup, (own,) = begun(connection, 1)
         cell = new_evaluation(CALIBRATION, 0, 0, "S1", setup, own, outcome)
         evaluations.insert(connection, sequence, [cell])
         (waiting,) = results.pending(connection, sequence)

@@ -7,13 +7,12 @@ import pytest
 from sqlalchemy import func, select
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SHORT, get, influenced, run, submit
-from tests.support.storage import EVALUATOR, campaign, new_evaluation, new_run, sample_set_ids, setup_id
+from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 from tests.support.values import faults_of
 
 from drivecal.contracts.specification import CampaignChanges
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, evaluations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
@@ -169,14 +168,8 @@ def test_a_campaign_is_not_deleted_while_a_study_examines_it(database: Database,
 def test_an_interrupted_deletion_goes_on(database: Database) -> None:
     with database.transaction() as connection:
         first = campaigns.insert(connection, name="first", spec={})
-        evaluations.insert(
-            connection,
-            first.sequence,
-            [
-                new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup_id(connection), identifier, Outcome.SIMULATED)
-                for n, identifier in enumerate(sample_set_ids(connection, 3))
-            ],
-        )
+        setup, sets = setup_id(connection), sample_set_ids(connection, 3)
+        evaluations.insert(connection, first.sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
         assert delete_campaign(connection, first.id) == first.sequence
     assert (listed(database), cells(database, first)) == ([], 3)
@@ -190,16 +183,8 @@ def test_keys_under_a_deleted_map_are_unused_and_go_in_slices(database: Database
         first = campaigns.request_action(connection, campaign(connection).id, "cancel")
         common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
         made = influence_maps.insert(connection, source=first.id, **common)
-        setup = setup_id(connection)
-        number = evaluations.insert(
-            connection,
-            first.sequence,
-            [
-                new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, identifier, Outcome.SIMULATED)
-                for n, identifier in enumerate(sample_set_ids(connection, 5))
-            ],
-        )
-        sets = sample_set_ids(connection, 5)
+        setup, sets = setup_id(connection), sample_set_ids(connection, 5)
+        number = evaluations.insert(connection, first.sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         runs_of.insert_results(connection, [new_run(setup, one, evaluation=n) for one, n in zip(sets, number, strict=True)])
     for under in (made.sequence, made.sequence + 1):
         reference_keys.sync(

@@ -1,7 +1,7 @@
 from itertools import product
 
 import pytest
-from tests.support.storage import EVALUATOR, campaign, new_evaluation, sample_set_ids, sample_sets, setup_id, simulate
+from tests.support.storage import EVALUATOR, begun, campaign, new_evaluation, sample_sets, simulate
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import InvalidInputError, NotFoundError
@@ -22,8 +22,7 @@ def place(one: StoredEvaluation) -> tuple[int, int, str]:
 
 def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        (one,) = sample_set_ids(connection, 1)
+        sequence, setup, (one,) = begun(connection, 1)
         places = list(product((1, 0), (2, 1, 0, 10), ("S2", "S10", "S1", "s1")))
         cells = [new_evaluation(CALIBRATION, i, n, scenario, setup, one, Outcome.SIMULATED) for i, n, scenario in places]
         evaluations.insert(connection, sequence, cells)
@@ -59,8 +58,7 @@ def test_an_evaluation_that_is_not_there_is_not_found(database: Database, unknow
 
 def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 3)
+        sequence, setup, sets = begun(connection, 3)
         first = new_evaluation(CALIBRATION, 0, 5, "S1", setup, sets[0], Outcome.SIMULATED)
         simulate(connection, sequence, [first], score=5)
         donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
@@ -86,8 +84,7 @@ def test_answers_say_whether_they_are_the_sets_own(database: Database) -> None:
 
 def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Database) -> None:
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 3)
+        sequence, setup, sets = begun(connection, 3)
         cells = [
             new_evaluation(StageName.SENSITIVITY, 4, n, "S1", setup, one, Outcome.SIMULATED) for n, one in enumerate(sets[:2])
         ]
@@ -105,8 +102,7 @@ def test_donors_are_the_simulated_cells_of_a_stage_with_their_sets(database: Dat
 def test_a_copied_score_gives_way_to_the_run_of_the_very_cell(database: Database) -> None:
     """By any campaign, under the same evaluator, if it is wanted."""
     with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        sets = sample_set_ids(connection, 3)
+        sequence, setup, sets = begun(connection, 3)
         simulate(connection, sequence, [new_evaluation(CALIBRATION, 0, 0, "S1", setup, sets[0], Outcome.SIMULATED)], score=5)
         donor = evaluations.own_answers(connection, sequence, "S1", setup, sets)[sets[0]]
         reused = new_evaluation(CALIBRATION, 0, 1, "S1", setup, sets[1], Outcome.REUSED, donor=donor)

@@ -2,11 +2,10 @@ from collections import Counter
 from typing import Any
 
 from sqlalchemy import Connection, update
-from tests.support.storage import campaign, new_evaluation, sample_set_ids, setup_id
+from tests.support.storage import begun, campaign, cell
 
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
-from drivecal.domain.evaluations import Outcome
 from drivecal.storage import campaigns, evaluations, leases, processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
@@ -74,12 +73,8 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
     assert look(database).leases == 0
     with database.transaction() as connection:
         processes.elect(connection, processes.DISPATCHER, 1, now())
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        cells = [
-            new_evaluation(StageName.CALIBRATION, 0, n, "S1", setup, parameter_set, Outcome.SIMULATED)
-            for n, parameter_set in enumerate(sample_set_ids(connection, 4))
-        ]
-        ids = evaluations.insert(connection, sequence, cells)
+        sequence, setup, sets = begun(connection, 4)
+        ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         leases.take(connection, dict.fromkeys(ids[:2], 0), 60.0)
         leases.take(connection, dict.fromkeys(ids[2:], 0), -60.0)  # a slow cell outlasts its lease
         leases.give_back(connection, {ids[0]: 1})
