@@ -201,9 +201,7 @@ def test_places_where_no_backup_can_be_are_named(database: Database, tmp_path: P
         backup.write(database, tmp_path / "missing" / "backup.db", silent)
 
 
-def test_a_database_is_never_backed_up_into_itself(empty_url: str, tmp_path: Path) -> None:
-    database = Database.open(empty_url)
-    database.upgrade()
+def test_a_database_is_never_backed_up_into_itself(database: Database, tmp_path: Path) -> None:
     if database.url.get_backend_name() == "sqlite":
         with pytest.raises(DatabaseError):
             backup.write(database, tmp_path / "drivecal.db", silent)

@@ -1,6 +1,7 @@
 """Evaluated parameter sets are ranked under any weights."""
 
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,10 +33,11 @@ def test_a_set_without_a_result_in_a_weighted_scenario_is_not_ranked() -> None:
     assert [entry.parameter_set for entry in _ranking(cells, {"S1": 1, "S2": 0})] == [1, 2]
 
 
-def test_scenarios_of_weight_zero_count_nowhere() -> None:
-    predicted = CellScore(1, "S2", 3, 3.1, own=False, iteration=0, individual=0, predicted=True)
-    (only,) = _ranking([*_cells({1: {"S1": 7}}), predicted], {"S1": 1, "S2": 0})
-    assert only.reused == ()
+def test_a_set_names_scores_that_are_not_its_own_but_none_of_weight_zero() -> None:
+    copy = CellScore(1, "S2", 3, 3.1, own=False, iteration=0, individual=0)
+    for cell, weight, reused in ((copy, 1, ("S2",)), (replace(copy, predicted=True), 0, ())):
+        (only,) = _ranking([*_cells({1: {"S1": 7}}), cell], {"S1": 1, "S2": weight})
+        assert only.reused == reused
 
 
 def test_equal_objectives_are_ordered_by_rating_then_by_discovery() -> None:
@@ -65,13 +67,6 @@ def test_the_sets_own_result_counts_more_than_a_copy() -> None:
     assert [item.objective for item in _ranking([copy, own], {"S1": 1})] == [5.0]
     assert [entry.objective for entry in _ranking([own, copy], {"S1": 1})] == [5.0]
     assert [element.objective for element in _ranking([failed, copy], {"S1": 1})] == [7.0]
-
-
-def test_a_solution_says_which_of_its_scores_are_those_of_a_reference() -> None:
-    copy = CellScore(1, "S1", 7, 6.8, own=False, iteration=0, individual=0)
-    own = CellScore(1, "S2", 5, 5.1, own=True, iteration=0, individual=0)
-    (only,) = _ranking([copy, own], {"S1": 1, "S2": 1})
-    assert only.reused == ("S1",)
 
 
 def test_nothing_evaluated_gives_no_ranking() -> None:

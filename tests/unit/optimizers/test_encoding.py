@@ -77,12 +77,9 @@ def test_the_most_significant_bit_comes_first() -> None:
     assert encoding.chromosomes(np.array([[2, 1]])).tolist() == [[True, False, False, False, True]]
 
 
-def test_a_space_without_searched_parameters_is_refused() -> None:
+def test_a_space_without_searched_parameters_and_one_with_a_single_value_are_refused() -> None:
     with pytest.raises(InvalidInputError):
         BitEncoding(np.array([], dtype=np.int64))
-
-
-def test_a_parameter_with_a_single_value_is_refused() -> None:
     with pytest.raises(InvalidInputError, match="`fixed`"):
         BitEncoding(np.array([5, 1]))
 
