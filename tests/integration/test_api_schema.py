@@ -1,9 +1,7 @@
 """Tests of what the OpenAPI document promises holds for requests that schemathesis derives from it, good ones and bad ones."""
 
-import zipfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,6 +21,7 @@ from tests.support.answered_campaigns import carry_out, carry_out_evaluation
 from tests.support.effort import LONG, tries
 from tests.support.server import RunningApi, serving
 from tests.support.values import MIDDLE
+from tests.support.zips import zipped
 
 from drivecal.api.app import create_app
 from drivecal.api.responses import ROOT
@@ -57,11 +56,7 @@ def application() -> FastAPI:
 
 def archive(manifest: str = MANIFEST) -> bytes:
     """A problem as it is pushed."""
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w") as opened:
-        opened.writestr("problem.yaml", manifest)
-        opened.writestr("model.py", "")
-    return buffer.getvalue()
+    return zipped(("problem.yaml", manifest), ("model.py", ""))
 
 
 archives = st.one_of(st.just(archive()), st.text().map(archive), st.binary(max_size=200))
@@ -123,8 +118,8 @@ def known(api: RunningApi) -> Known:
     row = api.http.get(f"/api/v1/campaigns/{campaign['id']}/evaluations").json()["items"][0]["id"]
     post(f"campaigns/{campaign['id']}/rerun", {"weights": {"S1": 2}})  # keeps it from being deleted
     api.http.patch(f"/api/v1/campaigns/{campaign['id']}", json={"tags": ["mine"]}).raise_for_status()
-    zipped = {"Content-Type": "application/zip"}
-    problem = api.http.post("/api/v1/problems", content=archive(), headers=zipped).raise_for_status().json()
+    form = {"Content-Type": "application/zip"}
+    problem = api.http.post("/api/v1/problems", content=archive(), headers=form).raise_for_status().json()
     return Known(campaign["id"], evaluation["id"], str(row), posted_map["id"], problem["name"], "mine")
 
 

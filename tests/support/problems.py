@@ -1,14 +1,13 @@
 """A problem that shares nothing with the motorway: less is better, parameters of every kind, failures, time series."""
 
 import gzip
-import io
 import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import yaml
+from tests.support.zips import zipped
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -119,11 +118,8 @@ def push(database: Database, folder: Path, **changes: Any) -> StoredBundle:
 
 def store(database: Database, document: Mapping[str, Any], files: Mapping[str, str] | None = None) -> str:
     """Stores a problem of this manifest and these texts of files; returns its digest."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as archive:
-        for name, text in {"problem.yaml": yaml.safe_dump(dict(document), sort_keys=False), **(files or {})}.items():
-            archive.writestr(name, text)
-    archived, manifest = content.getvalue(), checked(document).model_dump(mode="json")
+    archived = zipped(("problem.yaml", yaml.safe_dump(dict(document), sort_keys=False)), *(files or {}).items())
+    manifest = checked(document).model_dump(mode="json")
     digest = content_digest(archived)
     with database.transaction() as connection:
         bundles.add(connection, digest=digest, name=document["problem"], manifest=manifest, archive=archived)

@@ -1,11 +1,10 @@
 """Pushing, refusing, listing and showing problems: the whole application, without a server."""
 
-import io
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from zipfile import ZIP_STORED
 
 import pytest
 from fastapi import FastAPI
@@ -13,6 +12,7 @@ from fastapi.testclient import TestClient
 from httpx import Response
 from tests.support.databases import migrated
 from tests.support.networks import entrance
+from tests.support.zips import zipped
 
 from drivecal.api.app import create_app
 from drivecal.api.dependencies import OPEN_ARCHIVES, Limits
@@ -39,28 +39,26 @@ Serve = Callable[..., TestClient]
 
 def packed(name: str = "acc", model: str = "def evaluate(p, s): return {'energy': 1.0}", **files: str) -> bytes:
     """The archive of a problem."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for file, content in {"problem.yaml": MANIFEST.format(name=name), "model.py": model, **files}.items():
-            if content:
-                archive.writestr(file, content)
-    return buffer.getvalue()
+    held = {"problem.yaml": MANIFEST.format(name=name), "model.py": model, **files}
+    return zipped(*((file, content) for file, content in held.items() if content), compression=ZIP_STORED)
 
 
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Serve]:
-    """Starts the application as it would listen on an address, with a tokens file or without, and other settings."""
+    """Starts the application as it would listen on an address, with tokens or without, and other settings; `user` shows one."""
     with ExitStack() as stack:
 
-        def start(address: str = "127.0.0.1", *, tokens: bool = False, **settings: Any) -> TestClient:
+        def start(address: str = "127.0.0.1", *, tokens: bool = False, user: str = "", **settings: Any) -> TestClient:
             url, home = f"sqlite:///{tmp_path / 'drivecal.db'}", tmp_path / "home"
             file = tmp_path / "tokens"
             file.write_text("".join(f"{name} {ROLES[name]} {token}\n" for name, token in TOKENS.items()))
             database = migrated(url)
             database.dispose()
-            loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens else None, **settings)
+            loaded = load_settings(database_url=url, home=home, tokens_file=file if tokens or user else None, **settings)
             app = create_app(loaded, Pushing.of(loaded, address))
-            return stack.enter_context(TestClient(app, base_url="http://localhost:8000", raise_server_exceptions=False))
+            client = TestClient(app, base_url="http://localhost:8000", raise_server_exceptions=False)
+            client.headers.update(bearer(user) if user else {})
+            return stack.enter_context(client)
 
         yield start
 
@@ -134,8 +132,7 @@ def test_without_tokens_pushing_can_be_switched_off(serve: Serve, tmp_path: Path
 
 
 def test_a_pushed_problem_is_stored_once_listed_and_shown(serve: Serve) -> None:
-    client = serve(tokens=True)
-    client.headers.update(bearer("author"))
+    client = serve(user="author")
     archive = packed()
     first = push(client, archive)
     body = first.json()
@@ -161,8 +158,7 @@ def test_a_pushed_problem_is_stored_once_listed_and_shown(serve: Serve) -> None:
 
 
 def test_the_archive_comes_back_as_it_was_pushed(serve: Serve) -> None:
-    client = serve(tokens=True)
-    client.headers.update(bearer("author"))
+    client = serve(user="author")
     archive = packed()
     push(client, archive)
     response = client.get(f"{PROBLEMS}/acc/archive")
@@ -214,29 +210,20 @@ scores: {safe: {formula: min_ttc_s, direction: maximise, range: [0, 10]}}
 
 
 def test_a_scenario_that_does_not_fit_its_network_is_refused(serve: Serve) -> None:
-    client, buffer = serve(tokens=True), io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("problem.yaml", HIGHWAY)
-        archive.writestr("model.py", "")
-        archive.writestr("road.net.xml", entrance())
-    response = push(client, buffer.getvalue(), bearer("author"))
+    archive = zipped(("problem.yaml", HIGHWAY), ("model.py", ""), ("road.net.xml", entrance()))
+    response = push(serve(user="author"), archive)
     assert response.status_code == 422, response.text
     assert [error["field"] for error in response.json()["errors"]] == ["problem.yaml: line 6: scenarios.merge.route[1]"]
 
 
 def test_a_bomb_is_refused(serve: Serve) -> None:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("problem.yaml", MANIFEST.format(name="acc"))
-        archive.writestr("zeros", bytes(3 * 2**20))
-    client = serve(tokens=True, problem_mb=2)
-    assert len(buffer.getvalue()) < 10_000
-    assert push(client, buffer.getvalue(), bearer("author")).status_code == 422
+    bomb = zipped(("problem.yaml", MANIFEST.format(name="acc")), ("zeros", bytes(3 * 2**20)))
+    assert len(bomb) < 10_000
+    assert push(serve(user="author", problem_mb=2), bomb).status_code == 422
 
 
 def test_only_a_problem_may_be_larger_than_other_bodies(serve: Serve) -> None:
-    client = serve(tokens=True, problem_mb=2)
-    client.headers.update(bearer("author"))
+    client = serve(user="author", problem_mb=2)
     assert push(client, packed(data="x" * 1_900_000)).status_code == 201
     assert push(client, packed(data="x" * 2_200_000)).status_code == 413
     assert client.post("/api/v1/influence-maps", json={"name": "x" * 1_900_000}).status_code == 413
@@ -244,14 +231,12 @@ def test_only_a_problem_may_be_larger_than_other_bodies(serve: Serve) -> None:
 
 @pytest.mark.slow
 def test_no_more_than_the_limit_are_kept(serve: Serve) -> None:
-    client = serve(tokens=True, pushed_problems=1)
-    client.headers.update(bearer("author"))
+    client = serve(user="author", pushed_problems=1)
     assert [push(client).status_code, push(client).status_code, push(client, packed("b")).status_code] == [201, 200, 413]
 
 
 def test_only_a_few_archives_are_in_memory_at_a_time(serve: Serve) -> None:
-    client = serve(tokens=True)
-    client.headers.update(bearer("author"))
+    client = serve(user="author")
     push(client)
     assert isinstance(client.app, FastAPI)
     limits: Limits = client.app.state.limits

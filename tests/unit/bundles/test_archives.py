@@ -6,13 +6,13 @@ import stat
 import struct
 import tempfile
 import zipfile
-from io import BytesIO
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
+from tests.support.zips import zipped
 
 from drivecal.bundles.archives import (
     IGNORED,
@@ -51,14 +51,6 @@ def written(folder: Path, tree: Tree) -> Path:
         path.write_bytes(file.content)
         path.chmod(0o750 if file.executable else 0o640)
     return folder
-
-
-def zipped(*entries: tuple[str | zipfile.ZipInfo, bytes], compression: int = zipfile.ZIP_DEFLATED) -> bytes:
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w", compression) as archive:
-        for entry, content in entries:
-            archive.writestr(entry, content)
-    return buffer.getvalue()
 
 
 def typed(name: str, mode: int) -> zipfile.ZipInfo:

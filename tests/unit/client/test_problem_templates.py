@@ -1,6 +1,5 @@
 """New problems: each template is a bundle that runs, and an FMU's description is read with care."""
 
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -8,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.support.effort import examples
 from tests.support.values import faults_of, faulty_fields
+from tests.support.zips import zipped
 
 from drivecal.bundles.fmus.description import parse_description, read_fmu
 from drivecal.bundles.installed import installed_problems
@@ -31,13 +31,6 @@ FMI2 = """<?xml version="1.0" encoding="UTF-8"?>
 LAUGHS = '<!DOCTYPE a [<!ENTITY b "ha"><!ENTITY c "&b;&b;">]><fmiModelDescription fmiVersion="2.0">&c;</fmiModelDescription>'
 
 
-def fmu(folder: Path, description: str | bytes, name: str = "modelDescription.xml") -> Path:
-    file = folder / "some system.fmu"
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr(name, description)
-    return file
-
-
 def answers(folder: Path) -> list[CheckedScenario]:
     """Runs the baseline in every scenario as a worker does."""
     manifest, archive = read_bundle(folder)
@@ -47,16 +40,20 @@ def answers(folder: Path) -> list[CheckedScenario]:
     return results
 
 
-@pytest.mark.parametrize("kind", ["process", "command", "python"])
-def test_a_new_problem_is_valid_and_its_baseline_runs(kind: str, tmp_path: Path) -> None:
-    written = write_problem(kind, "my-problem", tmp_path / "folder")
-    assert len(written) == 2
-    manifest, _ = read_bundle(tmp_path / "folder")
-    assert (manifest.problem, manifest.simulator.kind) == ("my-problem", kind)
-    assert "FOLDER" not in (tmp_path / "folder" / "problem.yaml").read_text()
-    for answer in answers(tmp_path / "folder"):
-        assert answer.scores.keys() == manifest.scores.keys()
-        assert all(0 < score < 100 for score in answer.scores.values())
+def test_new_problems_are_valid_and_their_baselines_simulate_the_same(tmp_path: Path) -> None:
+    results = []
+    for kind in ("process", "command", "python"):
+        written = write_problem(kind, "my-problem", tmp_path / kind)
+        assert len(written) == 2
+        manifest, _ = read_bundle(tmp_path / kind)
+        assert (manifest.problem, manifest.simulator.kind) == ("my-problem", kind)
+        assert "FOLDER" not in (tmp_path / kind / "problem.yaml").read_text()
+        answered = answers(tmp_path / kind)
+        for answer in answered:
+            assert answer.scores.keys() == manifest.scores.keys(), kind
+            assert all(0 < score < 100 for score in answer.scores.values()), kind
+        results.append([(answer.scenario, answer.measures) for answer in answered])
+    assert results[0] == results[1] == results[2]
 
 
 def test_the_motorway_as_a_start_is_valid_and_has_another_name(tmp_path: Path) -> None:
@@ -82,14 +79,6 @@ def test_a_new_highway_problem_runs_on_a_motorway_of_its_own(tmp_path: Path) -> 
     assert all(result.repeats and result.failure is None and 0 < result.scores["cost"] < 100 for result in results)
 
 
-def test_all_templates_simulate_the_same(tmp_path: Path) -> None:
-    results = []
-    for kind in ("process", "command", "python"):
-        write_problem(kind, "same", tmp_path / kind)
-        results.append([(answer.scenario, answer.measures) for answer in answers(tmp_path / kind)])
-    assert results[0] == results[1] == results[2]
-
-
 def test_the_shell_example_runs() -> None:
     assert answers(EXAMPLES / "command-shell")
 
@@ -113,9 +102,9 @@ def test_an_fmu_problem_without_an_fmu_says_what_to_put_where(tmp_path: Path) ->
         "<a/>",
     ],
 )
-def test_an_fmu_that_cannot_be_used_has_no_variables(description: str | bytes, tmp_path: Path) -> None:
-    assert read_fmu(fmu(tmp_path, description).read_bytes()) is None
-    assert read_fmu(fmu(tmp_path, FMI2, "other.xml").read_bytes()) is None
+def test_an_fmu_that_cannot_be_used_has_no_variables(description: str | bytes) -> None:
+    assert read_fmu(zipped(("modelDescription.xml", description))) is None
+    assert read_fmu(zipped(("other.xml", FMI2))) is None
 
 
 @settings(deadline=None, max_examples=examples(200))

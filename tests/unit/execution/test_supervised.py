@@ -1,8 +1,6 @@
 """Workers whose bundle cache fails get the files of a bundle again with a new process; workers that start slowly get more time."""
 
-import io
 import math
-import zipfile
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +10,7 @@ from unittest.mock import Mock
 import pytest
 import yaml
 from tests.support.pooled import MemoryLeases
+from tests.support.zips import zipped
 
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
@@ -31,10 +30,7 @@ SIMULATOR: dict[str, Any] = {"kind": "command", "command": ["mysim"], "probe": [
 
 
 def archive() -> bytes:
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w") as zipped:
-        zipped.writestr("problem.yaml", yaml.safe_dump({"problem": "mine"}))
-    return content.getvalue()
+    return zipped(("problem.yaml", yaml.safe_dump({"problem": "mine"})))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from tests.support.fmus import archive
 from tests.support.values import faults_of
+from tests.support.zips import zipped
 
 from drivecal.bundles.archives import BundleFile, files_of, pack
 from drivecal.bundles.checks import checked
@@ -80,10 +81,7 @@ SYSTEM = {"kind": "fmu", "file": "acc.fmu", "duration": 1, "step": 0.1, "measure
 
 
 def file_of(description: str) -> BundleFile:
-    content = BytesIO()
-    with zipfile.ZipFile(content, "w") as target:
-        target.writestr("modelDescription.xml", description)
-    return BundleFile(content.getvalue(), False)
+    return BundleFile(zipped(("modelDescription.xml", description)), False)
 
 
 def problem(parameters: dict[str, str] | None = None, **controller: Any) -> dict[str, Any]:
@@ -240,11 +238,9 @@ def test_a_parameter_without_a_unit_is_noted_with_that_of_the_fmu(description: s
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> None:
-    whole = BytesIO()
-    with zipfile.ZipFile(whole, "w", compression) as target:
-        target.writestr("modelDescription.xml", SECOND)
+    whole = zipped(("modelDescription.xml", SECOND), compression=compression)
     place = 30 + len("modelDescription.xml")
-    damaged = [whole.getvalue()[:at] + b"\xff" * 20 + whole.getvalue()[at + 20 :] for at in range(place, place + 60, 3)]
+    damaged = [whole[:at] + b"\xff" * 20 + whole[at + 20 :] for at in range(place, place + 60, 3)]
     for content in (b"no archive", file_of("<a").content, *damaged):
         assert check_fmus(checked(problem()), {"acc.fmu": BundleFile(content, False)}) == ()
 
@@ -252,12 +248,10 @@ def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> N
 @pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_description_that_would_be_expanded_whole_is_refused_before(compression: int) -> None:
     """zipfile expands these methods without regard to how much is asked for."""
-    whole = BytesIO()
-    with zipfile.ZipFile(whole, "w", compression) as target:
-        target.writestr("modelDescription.xml", bytes(40 << 20))
-    assert len(whole.getvalue()) < 10_000
+    whole = zipped(("modelDescription.xml", bytes(40 << 20)), compression=compression)
+    assert len(whole) < 10_000
     tracemalloc.start()
-    assert read_fmu(whole.getvalue()) is None
+    assert read_fmu(whole) is None
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 20
@@ -310,17 +304,14 @@ def test_what_a_problem_leaves_out_of_an_fmu_is_counted() -> None:
     assert any(" leaves out " in note for note in check_fmus(checked(given), {"acc.fmu": file_of(SECOND)}))
 
 
-def test_faults_have_their_lines_and_notes_come_with_the_bundle(tmp_path: Path) -> None:
+def test_faults_have_their_lines_and_notes_come_with_the_bundle_and_an_archive_is_checked_as_a_folder_is(
+    tmp_path: Path,
+) -> None:
     archive(tmp_path / "acc.fmu", SECOND, {})
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "1"}) | {"simulator": SYSTEM}))
     assert len([note for note in read_bundle_with_notes(tmp_path)[2] if " leaves out " not in note]) == 1
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "m/s"}) | {"simulator": SYSTEM}))
     assert "line" in faults_of(read_bundle_with_notes, tmp_path)[0].field
-
-
-def test_an_archive_is_checked_as_a_folder_is(tmp_path: Path) -> None:
-    archive(tmp_path / "acc.fmu", SECOND, {})
-    (tmp_path / "problem.yaml").write_text(yaml.safe_dump(problem({"v_set": "m/s"}) | {"simulator": SYSTEM}))
     assert ["parameters.v_set.unit" in entry.field for entry in faults_of(read_archived, files_of(pack(tmp_path)))] == [True]
 
 
