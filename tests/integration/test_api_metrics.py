@@ -21,26 +21,11 @@ from drivecal.storage.engine.types import now
 OPEN = {"Accept": "application/openmetrics-text; version=1.0.0; charset=utf-8"}
 UNITS = ("_seconds", "_bytes")
 UNITLESS = {
-    *(
-        "drivecal_build",
-        "drivecal_database_up",
-        "drivecal_campaigns",
-        "drivecal_campaigns_waiting",
-        "drivecal_resources",
-        "drivecal_resources_held",
-        "drivecal_busy_answers",
-        "drivecal_cells",
-        "drivecal_cells_pending",
-        "drivecal_leases",
-    ),
+    *("drivecal_build", "drivecal_database_up", "drivecal_campaigns", "drivecal_campaigns_waiting", "drivecal_resources"),
+    *("drivecal_resources_held", "drivecal_busy_answers", "drivecal_cells", "drivecal_cells_pending", "drivecal_leases"),
     *("drivecal_reference_runs", "drivecal_ready", "drivecal_degraded", "drivecal_dispatcher_elections", "drivecal_workers"),
-    *(
-        "drivecal_breakdowns",
-        "drivecal_retries",
-        "drivecal_late_results",
-        "drivecal_http_requests",
-        "drivecal_http_event_streams",
-    ),
+    *("drivecal_breakdowns", "drivecal_retries", "drivecal_late_results", "drivecal_http_requests"),
+    *("drivecal_http_event_streams",),
 }
 """Metrics without a unit: counts and truth values."""
 

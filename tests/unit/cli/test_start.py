@@ -10,17 +10,7 @@ from drivecal.cli.application import COMMANDS
 from drivecal.cli.main import app
 
 HEAVY = (
-    "numpy",
-    "scipy",
-    "ray",
-    "sqlalchemy",
-    "alembic",
-    "fastapi",
-    "pyarrow",
-    "pandas",
-    "sklearn",
-    "numba",
-    "drivecal.bundles",
+    *("numpy", "scipy", "ray", "sqlalchemy", "alembic", "fastapi", "pyarrow", "pandas", "sklearn", "numba", "drivecal.bundles"),
 )
 PRINTED = """
 import sys

@@ -70,6 +70,11 @@ def act(these: Actions, step: int, ego: Moving = FAR_AWAY, stretch: float = 1.0)
     these.act(step * STEP, STEP, {"v": Moving(100.0, 0.0, 30.0, 2.5), "ego": ego}, stretch)
 
 
+def steps(these: Actions, numbers: range) -> None:
+    for number in numbers:
+        act(these, number)
+
+
 def several(*actions: dict[str, Any], **vehicle: Any) -> Actions:
     given = {"s": 100, "speed": 30, "length": 5.0, "model": "constant", "actions": list(actions)}
     return Actions({"v": TrafficEntry.model_validate(given | vehicle)}, lambda _, d, __: d, lambda *_: 1.0, {})
@@ -80,8 +85,7 @@ def test_an_action_ends_a_motion_to_the_side_where_it_is(sumo: Sumo) -> None:
     brake = {"do": "brake", "time": 1, "speed": 0, "rate": 10, "ends": ["in"]}
     after = {"do": "drift", "offset": 0.5, "when": [{"done": "in"}], "seconds": 1}
     these = several(change, brake, after)
-    for step in range(2):
-        act(these, step)
+    steps(these, range(2))
     assert len(sumo.offsets) == 2
     act(these, 2)
     assert (len(sumo.offsets), sumo.speeds) == (2, [25])
@@ -92,8 +96,7 @@ def test_an_action_ends_a_motion_to_the_side_where_it_is(sumo: Sumo) -> None:
 def test_an_action_ends_a_change_of_speed_at_the_speed_that_it_has(sumo: Sumo) -> None:
     brake = {"id": "slow", "do": "brake", "time": 0, "speed": 10, "rate": 10, "hold": 1}
     these = several(brake, {"do": "drift", "offset": 0.5, "time": 1, "seconds": 1, "ends": ["slow"]})
-    for step in range(6):
-        act(these, step)
+    steps(these, range(6))
     assert sumo.speeds == [25, 20, 20, 20, 20, 20]
 
 
@@ -103,11 +106,9 @@ def test_an_action_ends_one_that_waits_for_the_end_of_a_junction(sumo: Sumo) -> 
     after = {"do": "drift", "offset": 0.5, "when": [{"done": "in"}], "seconds": 0.5}
     these = several(change, brake, after)
     sumo.road = ":j"
-    for step in range(2):
-        act(these, step)
+    steps(these, range(2))
     sumo.road = "e0"
-    for step in range(2, 5):
-        act(these, step)
+    steps(these, range(2, 5))
     assert sumo.offsets == [0.5]
 
 
@@ -125,23 +126,20 @@ def test_an_action_that_has_not_begun_is_not_ended(sumo: Sumo) -> None:
         {"do": "drift", "offset": 0.5, "time": 0, "seconds": 0.5, "ends": ["slow"]},
         {"id": "slow", "do": "brake", "time": 1, "speed": 20, "rate": 10},
     )
-    for step in range(4):
-        act(these, step)
+    steps(these, range(4))
     assert sumo.speeds == [25, 20]
 
 
 def test_a_constant_vehicle_comes_back_to_its_own_speed(sumo: Sumo) -> None:
     these = of({"do": "brake", "time": 0, "speed": 20, "rate": 10, "hold": 1}, model="constant")
-    for step in range(8):
-        act(these, step)
+    steps(these, range(8))
     assert sumo.speeds == [25, 20, 20, 20, 25, 30, 30, 30]
     assert sumo.modes == [FREE]
 
 
 def test_a_model_gets_its_speed_back(sumo: Sumo) -> None:
     these = of({"do": "brake", "time": 0, "speed": 20, "rate": 10, "hold": 1})
-    for step in range(6):
-        act(these, step)
+    steps(these, range(6))
     assert sumo.speeds == [25, 20, 20, 20, -1]
     assert sumo.modes == [FREE_BUT_SAFE, MODEL]
     assert not these.pending
@@ -208,8 +206,7 @@ def test_a_change_of_lanes_takes_as_long_as_its_distance_or_lateral_speed_says(s
     for given, seconds in (({"metres": 60.0}, 2.0), ({"lateral_speed": 1.875 * 3.5 / 2}, 2.0)):
         sumo.offsets.clear()
         these = of({"do": "cut_in", "time": 0, "by": 1} | given)
-        for step in range(5):
-            act(these, step)
+        steps(these, range(5))
         assert sumo.offsets[round(0.5 * seconds / STEP) - 1] == pytest.approx(1.75)
 
 
@@ -217,8 +214,7 @@ def test_an_action_waits_until_another_is_done(sumo: Sumo) -> None:
     first = {"id": "first", "do": "brake", "time": 0, "speed": 20, "rate": 10}
     second = {"do": "brake", "when": [{"done": "first", "delay": 1.0}], "speed": 30, "rate": 20}
     these = several(first, second)
-    for step in range(6):
-        act(these, step)
+    steps(these, range(6))
     assert sumo.speeds == [25, 20, 20, 20, 30, 30]
 
 
