@@ -1,10 +1,11 @@
 """Pushing, refusing, listing and showing problems: the whole application, without a server."""
 
+import io
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_STORED
 
 import pytest
 from fastapi import FastAPI
@@ -40,7 +41,7 @@ Serve = Callable[..., TestClient]
 def packed(name: str = "acc", model: str = "def evaluate(p, s): return {'energy': 1.0}", **files: str) -> bytes:
     """The archive of a problem."""
     held = {"problem.yaml": MANIFEST.format(name=name), "model.py": model, **files}
-    return zipped(*((file, content) for file, content in held.items() if content), compression=ZIP_STORED)
+    return zipped(*((file, content) for file, content in held.items() if content), compression=zipfile.ZIP_STORED)
 
 
 @pytest.fixture
@@ -217,9 +218,13 @@ def test_a_scenario_that_does_not_fit_its_network_is_refused(serve: Serve) -> No
 
 
 def test_a_bomb_is_refused(serve: Serve) -> None:
-    bomb = zipped(("problem.yaml", MANIFEST.format(name="acc")), ("zeros", bytes(3 * 2**20)))
-    assert len(bomb) < 10_000
-    assert push(serve(user="author", problem_mb=2), bomb).status_code == 422
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("problem.yaml", MANIFEST.format(name="acc"))
+        archive.writestr("zeros", bytes(3 * 2**20))
+    client = serve(tokens=True, problem_mb=2)
+    assert len(buffer.getvalue()) < 10_000
+    assert push(client, buffer.getvalue(), bearer("author")).status_code == 422
 
 
 def test_only_a_problem_may_be_larger_than_other_bodies(serve: Serve) -> None:

@@ -13,7 +13,6 @@ from pathlib import Path
 from tests.support import effort
 from tests.support.effort import tries
 from tests.support.mutations import at_home, soon
-from tests.support.zips import zipped
 
 from drivecal.bundles.archives import files_of, pack, remove, unpack
 from drivecal.configuration.problems import read_archived
@@ -84,8 +83,12 @@ def archives() -> Iterator[bytes]:
     """Archives of each kind: as they are pushed, stored instead of deflated, with folders."""
     yield pack(EXAMPLES / "python-function")
     yield pack(EXAMPLES / "command-shell")
-    entries = (("problem.yaml", "problem: p\n"), ("deep/", b""), ("deep/data", bytes(5000)))
-    yield zipped(*entries, compression=zipfile.ZIP_STORED)
+    content = BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr("problem.yaml", "problem: p\n")
+        archive.writestr("deep/", b"")
+        archive.writestr("deep/data", bytes(5000))
+    yield content.getvalue()
 
 
 def test_mutated_archives_are_refused_or_unpacked_inside_of_their_folder(tmp_path: Path) -> None:

@@ -238,9 +238,11 @@ def test_a_parameter_without_a_unit_is_noted_with_that_of_the_fmu(description: s
 
 @pytest.mark.parametrize("compression", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> None:
-    whole = zipped(("modelDescription.xml", SECOND), compression=compression)
+    whole = BytesIO()
+    with zipfile.ZipFile(whole, "w", compression) as target:
+        target.writestr("modelDescription.xml", SECOND)
     place = 30 + len("modelDescription.xml")
-    damaged = [whole[:at] + b"\xff" * 20 + whole[at + 20 :] for at in range(place, place + 60, 3)]
+    damaged = [whole.getvalue()[:at] + b"\xff" * 20 + whole.getvalue()[at + 20 :] for at in range(place, place + 60, 3)]
     for content in (b"no archive", file_of("<a").content, *damaged):
         assert check_fmus(checked(problem()), {"acc.fmu": BundleFile(content, False)}) == ()
 
@@ -248,10 +250,12 @@ def test_an_fmu_that_cannot_be_read_is_left_to_the_worker(compression: int) -> N
 @pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_description_that_would_be_expanded_whole_is_refused_before(compression: int) -> None:
     """zipfile expands these methods without regard to how much is asked for."""
-    whole = zipped(("modelDescription.xml", bytes(40 << 20)), compression=compression)
-    assert len(whole) < 10_000
+    whole = BytesIO()
+    with zipfile.ZipFile(whole, "w", compression) as target:
+        target.writestr("modelDescription.xml", bytes(40 << 20))
+    assert len(whole.getvalue()) < 10_000
     tracemalloc.start()
-    assert read_fmu(whole) is None
+    assert read_fmu(whole.getvalue()) is None
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 1 << 20
