@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Generic, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.parameters import Indices, Kind
@@ -17,13 +17,11 @@ from drivecal.plugins.ports import Ability, Optimizer, OptimizerPlugin
 Share = Annotated[float, Field(gt=0, le=1)]
 
 
-class GeneticSettings(OptimizerSpecification):
+class GeneticSettings(OptimizerSpecification, extra="forbid"):
     """Genetic algorithm: the best sets have children, which mix the values of their parents; some of them change at random.
 
     Selection, recombination and mutation: the probabilities p_s, p_r and p_m of Table 4; p_m as in Section IV-C.
     """
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["genetic"] = "genetic"
     selection: Annotated[Share, Field(description="Share of the population that may have children.")] = 0.8
@@ -31,13 +29,11 @@ class GeneticSettings(OptimizerSpecification):
     mutation: Annotated[float, Field(ge=0, le=1, description="Share of the children in which one bit is flipped.")] = 0.5
 
 
-class RandomSettings(OptimizerSpecification):
+class RandomSettings(OptimizerSpecification, extra="forbid"):
     """Random search: a part of the population is drawn again in each iteration after the first.
 
     The default of `renewal` is what the genetic algorithm renews with its own defaults, so that both request equally many cells.
     """
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["random"] = "random"
     renewal: Annotated[Share, Field(description="Share of the population that each iteration draws again.")] = 0.28
@@ -48,13 +44,11 @@ class RandomSettings(OptimizerSpecification):
         return max(1, round(self.renewal * self.population))
 
 
-class SwarmSettings(OptimizerSpecification):
+class SwarmSettings(OptimizerSpecification, extra="forbid"):
     """Particle swarm: each set moves on, and is pulled to the best that it found and to the best of all.
 
     Pulls c1 to a particle's own best set and c2 to that of the swarm (Table 4), and the inertia factor, which Eq. 4 leaves blank.
     """
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["swarm"] = "swarm"
     c1: Annotated[float, Field(ge=0, le=1, description="Pull to the set's own best.")] = 0.5
@@ -124,10 +118,8 @@ class BuiltIn(Generic[Chosen]):
         return settings
 
 
-class ExternalSettings(BaseModel):
+class ExternalSettings(BaseModel, extra="forbid"):
     """Evaluates the sets that another program proposes, until the budget is used up or that program finishes the campaign."""
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["external"] = "external"
     seed: Annotated[int, Field(ge=0, lt=2**63, description="Seed of the checks of reused answers.")] = 1

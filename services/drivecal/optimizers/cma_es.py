@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from drivecal.contracts.specification import OptimizerSpecification
 from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
@@ -26,10 +26,8 @@ if find_spec("cma") is None:
     raise InvalidInputError(Problem("optimizer.kind", "it needs the package cma", "install the extra [cma] on the server"))
 
 
-class CmaSettings(OptimizerSpecification):
+class CmaSettings(OptimizerSpecification, extra="forbid"):
     """`step`: the first standard deviation, in shares of the parameters' ranges."""
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["cma_es"] = "cma_es"
     step: Annotated[float, Field(gt=0, le=1)] = 0.3

@@ -6,13 +6,14 @@ with each reduction, in an ordinary campaign with the comparison's tag.
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from drivecal.contracts.campaign import Answer
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
     BudgetSpecification,
+    Model,
     ProblemSpecification,
     ReductionMode,
     ReductionSpecification,
@@ -25,10 +26,8 @@ LARGEST_RUNS = 1_000
 """Campaigns of one comparison."""
 
 
-class ComparedOptimizer(BaseModel):
+class ComparedOptimizer(Model, extra="allow"):
     """An optimizer with its own settings, checked by its plug-in. Population, iterations, start and seed are the comparison's."""
-
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
     kind: Identifier
 

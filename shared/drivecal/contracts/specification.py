@@ -9,7 +9,6 @@ from typing import Annotated, Literal, Self
 from pydantic import (
     AfterValidator,
     BaseModel,
-    ConfigDict,
     Discriminator,
     Field,
     StringConstraints,
@@ -49,10 +48,8 @@ Values = Annotated[dict[Identifier, Given], Field(max_length=200)]
 """A value per parameter."""
 
 
-class Model(BaseModel):
+class Model(BaseModel, extra="forbid", strict=True, frozen=True, allow_inf_nan=False):
     """The base of all that comes from outside: strict, closed, finite."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class ParameterEntry(Model):
@@ -119,10 +116,8 @@ class SensitivitySpecification(Model):
     sequential: bool = True
 
 
-class OptimizerSpecification(BaseModel):
+class OptimizerSpecification(Model, extra="allow"):
     """Settings of all optimizers that propose whole populations; a plug-in's own extend them."""
-
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
     kind: Identifier = "genetic"
     """Its name; `GET /api/v1/optimizers` lists the installed ones."""
@@ -137,13 +132,11 @@ class OptimizerSpecification(BaseModel):
     """Sets from expert knowledge: in the start population, after the baseline."""
 
 
-class OptimizerSection(BaseModel):
+class OptimizerSection(Model, extra="allow"):
     """The chosen optimizer with its settings, which the plug-in checks.
 
     Without `kind` it is `surrogate`, or `genetic` if the section has settings of populations.
     """
-
-    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
 
     kind: Identifier = "surrogate"
     """Its name; `GET /api/v1/optimizers` lists the installed ones."""

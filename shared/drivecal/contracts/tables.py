@@ -8,7 +8,7 @@ from functools import lru_cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic_core import to_json
 
 from drivecal.contracts.campaign import Answer, GenerationCounts, Page, Score
@@ -182,7 +182,7 @@ PLACE = 5
 """Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""
 
 
-class EvaluationRow(Answer):
+class EvaluationRow(Answer, extra="allow"):
     """A requested cell; each parameter is a field with its name.
 
     `outcome` is null while the answer is pending. `purpose` says what the cell was asked for: `search`; `start`, the baseline and start
@@ -193,7 +193,6 @@ class EvaluationRow(Answer):
     0 to 1, for every cell that it was asked about.
     """
 
-    model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, float | str | None]
 
     id: int

@@ -4,7 +4,7 @@ from typing import Annotated, Literal, get_origin
 
 from fastapi import Query
 from fastapi.routing import APIRoute
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, Field, StringConstraints
 from starlette.requests import HTTPConnection
 
 from drivecal.api.responses import ROOT, qualities
@@ -26,10 +26,8 @@ FORMS: dict[str, Form] = {
 }
 
 
-class Parameters(BaseModel):
+class Parameters(BaseModel, extra="forbid", frozen=True):
     """The base of all query parameters."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def check_names(connection: HTTPConnection) -> None:

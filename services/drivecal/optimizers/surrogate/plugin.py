@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from drivecal.plugins.ports import Ability
 from drivecal.plugins.search import AskedCell, CellAnswer, Search, SearchPlugin, SearchTask
@@ -12,10 +12,8 @@ if TYPE_CHECKING:
     from drivecal.optimizers.surrogate.search import SurrogateSearch
 
 
-class SurrogateSettings(BaseModel):
+class SurrogateSettings(BaseModel, extra="forbid"):
     """Learns a Gaussian process for each scenario, asks cell by cell, and gives sets up that cannot win any more."""
-
-    model_config = ConfigDict(extra="forbid")
 
     kind: Literal["surrogate"] = "surrogate"
     seed: Annotated[int, Field(ge=0, lt=2**63, description="Seed of all random numbers.")] = 1
