@@ -92,20 +92,12 @@ def contradictions(
     Compares the campaign's own simulated cells with each other, and with the stored references of their keys up to `watermark`.
     """
     index, stored_key, stored = reference_indexes.alias("index"), reference_keys.alias("stored_key"), ratings.alias("stored")
+    in_setup = (index.c.influence_map_sequence == influence_map_sequence) & (index.c.setup_id == evaluations.c.setup_id)
+    same_key = (stored_key.c.index_id == index.c.id) & (stored_key.c.key == evaluations.c.reference_key)
+    seen = (stored_key.c.run_id <= watermark) & (stored_key.c.since <= watermark)
     joined = (
-        evaluations.outerjoin(
-            index,
-            (index.c.influence_map_sequence == influence_map_sequence)
-            & (index.c.setup_id == evaluations.c.setup_id)
-            & (index.c.evaluator == evaluator),
-        )
-        .outerjoin(
-            stored_key,
-            (stored_key.c.index_id == index.c.id)
-            & (stored_key.c.key == evaluations.c.reference_key)
-            & (stored_key.c.run_id <= watermark)
-            & (stored_key.c.since <= watermark),
-        )
+        evaluations.outerjoin(index, in_setup & (index.c.evaluator == evaluator))
+        .outerjoin(stored_key, same_key & seen)
         .outerjoin(stored, (stored.c.run_id == stored_key.c.run_id) & (stored.c.evaluator == evaluator))
     )
     own, other = evaluations.c.score, stored.c.score

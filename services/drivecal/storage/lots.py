@@ -177,20 +177,10 @@ def known_answers(
     request, and the id of the newest. Call it while no cell waits for its answer."""
     cell = evaluations.c
     weight = case(((lots.c.verdict == LotVerdict.RELEASED) & SAMPLED, lots.c.size * 1.0 / lots.c.sample), else_=1.0)
+    place = cell.scenario, cell.stage, cell.iteration, cell.individual
+    known = cell.score, cell.rating, cell.predicted_score, cell.confidence, weight
     query = (
-        select(
-            cell.id,
-            cell.scenario,
-            cell.stage,
-            cell.iteration,
-            cell.individual,
-            parameter_sets.c.parameter_values,
-            cell.score,
-            cell.rating,
-            cell.predicted_score,
-            cell.confidence,
-            weight,
-        )
+        select(cell.id, *place, parameter_sets.c.parameter_values, *known)
         .join(parameter_sets)
         .outerjoin(lots, lots.c.id == cell.lot)
         .where(*stored_after(campaign_sequence, after), cell.setup_id.in_(list(setup_ids)), cell.outcome == Outcome.SIMULATED)

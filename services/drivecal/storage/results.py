@@ -187,20 +187,11 @@ def answers(
     if valued is not None:
         source = source.outerjoin(_ANSWERING_RUN, _ANSWERING_RUN.c.id == run_id)
         source = source.join(parameter_sets, parameter_sets.c.id == table.parameter_set_id)
+    predicted = type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean)
+    failed = type_coerce(table.failure.is_not(None) & table.score.is_not(None), Boolean)
+    told = type_coerce(~believed, Boolean), table.iteration, table.individual, predicted, RUN_SEED, failed
     query = (
-        select(
-            table.parameter_set_id,
-            table.scenario,
-            score,
-            rating,
-            type_coerce(~believed, Boolean),
-            table.iteration,
-            table.individual,
-            type_coerce(believed & (table.outcome == Outcome.PREDICTED), Boolean),
-            RUN_SEED,
-            type_coerce(table.failure.is_not(None) & table.score.is_not(None), Boolean),
-            *measured,
-        )
+        select(table.parameter_set_id, table.scenario, score, rating, *told, *measured)
         .select_from(source)
         .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome.is_not(None))
         .order_by(*_PLACE)
@@ -220,12 +211,8 @@ def answers(
 def sets_since(connection: Connection, campaign_sequence: int, stage: StageName, iteration: int) -> list[int]:
     """The parameter sets that a stage asked for since an iteration, one after the other: their ids, in that order."""
     table = evaluations.c
-    query = select(table.iteration, table.parameter_set_id).where(
-        table.campaign_sequence == campaign_sequence,
-        table.stage == stage,
-        table.iteration >= iteration,
-        ~HAS_SEED,  # further seeds confirm no copy
-    )
+    since = table.campaign_sequence == campaign_sequence, table.stage == stage, table.iteration >= iteration
+    query = select(table.iteration, table.parameter_set_id).where(*since, ~HAS_SEED)  # further seeds confirm no copy
     return [number for _, number in connection.execute(query.distinct().order_by(table.iteration))]
 
 
@@ -245,13 +232,8 @@ def released(connection: Connection, campaign_sequence: int) -> list[StoredEvalu
 def first_copy(connection: Connection, campaign_sequence: int, scenario: str, parameter_set_id: int) -> StoredEvaluation | None:
     """Returns the cell with a calibration's first answer of a parameter set, without a run of its own; None without one."""
     table = evaluations.c
-    query = _select().where(
-        table.campaign_sequence == campaign_sequence,
-        table.stage == StageName.CALIBRATION,
-        table.scenario == scenario,
-        table.parameter_set_id == parameter_set_id,
-        _COPIED,
-    )
+    asked = table.scenario == scenario, table.parameter_set_id == parameter_set_id
+    query = _select().where(table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION, *asked, _COPIED)
     return next(_evaluations(connection.execute(query.order_by(*_PLACE).limit(1))), None)
 
 
@@ -284,15 +266,12 @@ def is_pending(connection: Connection, campaign_sequence: int, stage: StageName,
 
 def donors(connection: Connection, campaign_sequence: int, stage: StageName) -> Iterator[tuple[int, str, ParameterSet]]:
     """The simulated cells of a stage, which can answer others: id, scenario, parameter set."""
+    table = evaluations.c
     query = (
-        select(evaluations.c.id, evaluations.c.scenario, parameter_sets.c.parameter_values)
+        select(table.id, table.scenario, parameter_sets.c.parameter_values)
         .join(parameter_sets)
-        .where(
-            evaluations.c.campaign_sequence == campaign_sequence,
-            evaluations.c.stage == stage,
-            evaluations.c.outcome == Outcome.SIMULATED,
-        )
-        .order_by(evaluations.c.id)
+        .where(table.campaign_sequence == campaign_sequence, table.stage == stage, table.outcome == Outcome.SIMULATED)
+        .order_by(table.id)
         .execution_options(yield_per=BATCH)
     )
     for number, scenario, values in connection.execute(query):

@@ -49,26 +49,21 @@ def stored_sets(
 
 def own_sets(connection: Connection, cell: StoredEvaluation, names: Sequence[str]) -> Iterator[Candidates]:
     """The sets that the campaign of a cell has simulated in the cell's setup before it."""
-    place = (evaluations.c.stage, evaluations.c.iteration, evaluations.c.individual)
+    table = evaluations.c
+    place = (table.stage, table.iteration, table.individual)
+    origin = (table.campaign_sequence, type_coerce(table.stage, SmallInteger), table.iteration, table.individual)
     # Typed one by one: a tuple does not hand its types on, and stages are stored as numbers.
     before = tuple_(*(literal(getattr(cell, column.name), column.type) for column in place))
     query = (
-        select(
-            evaluations.c.id,
-            evaluations.c.campaign_sequence,
-            type_coerce(evaluations.c.stage, SmallInteger),
-            evaluations.c.iteration,
-            evaluations.c.individual,
-            parameter_sets.c.parameter_values,
-        )
+        select(table.id, *origin, parameter_sets.c.parameter_values)
         .join(parameter_sets)
         .where(
-            evaluations.c.campaign_sequence == cell.campaign_sequence,
-            evaluations.c.scenario == cell.scenario,
-            evaluations.c.setup_id == cell.setup_id,  # studies drive the same sets in other vehicles
-            evaluations.c.plan == Outcome.SIMULATED,
-            evaluations.c.outcome == Outcome.SIMULATED,
-            evaluations.c.run_id.is_not(None),
+            table.campaign_sequence == cell.campaign_sequence,
+            table.scenario == cell.scenario,
+            table.setup_id == cell.setup_id,  # studies drive the same sets in other vehicles
+            table.plan == Outcome.SIMULATED,
+            table.outcome == Outcome.SIMULATED,
+            table.run_id.is_not(None),
             tuple_(*place) < before,
         )
     )
