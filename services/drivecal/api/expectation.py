@@ -111,19 +111,12 @@ def advice(problem: CalibrationProblem, simulations: int, milliseconds: float) -
     if chosen is None:
         return []
     if chosen.plugin.name == "surrogate" and milliseconds < CELL_MILLISECONDS:
-        return [
-            (
-                f"a simulation takes {milliseconds:.3g} ms, and the choice of a cell about {CELL_MILLISECONDS:g} ms of a core: with several"
-                " times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
-            )
-        ]
+        takes = f"a simulation takes {milliseconds:.3g} ms, and the choice of a cell about {CELL_MILLISECONDS:g} ms of a core"
+        remedy = "with several times the simulations `optimizer: {kind: genetic}` may find as good a set in the same time"
+        return [f"{takes}: {remedy}"]
     if chosen.has_populations and milliseconds >= WORTHWHILE_MILLISECONDS and simulations <= MOST_MODELLED:
-        return [
-            (
-                f"for {simulations:,} simulations of {milliseconds:.3g} ms, `optimizer: {{kind: surrogate}}` and a budget find better sets"
-                " on most problems (docs: optimizers)"
-            )
-        ]
+        better = "`optimizer: {kind: surrogate}` and a budget find better sets on most problems (docs: optimizers)"
+        return [f"for {simulations:,} simulations of {milliseconds:.3g} ms, {better}"]
     return []
 
 
@@ -207,24 +200,18 @@ def _imported_sets(database: Database, problem: CalibrationProblem, source: str,
 
 def refuse_without(limits: Limits, bench: Bench) -> None:
     """Raises InvalidInputError if a run needs more of a resource than the server has."""
-    exist = limits.settings.resources
+    exist, diagnostics = limits.settings.resources, Diagnostics()
     lacking = {
         name: (scenario, count)
         for scenario, request in bench.requests.items()
         for name, count in request.resources.items()
         if count > exist.get(name, 0)
     }
-    if lacking:
-        raise InvalidInputError(
-            *(
-                Problem(
-                    "problem",
-                    f"scenario {scenario} needs {count} {name}, and this server has {exist.get(name, 0)}",
-                    f"start the server with --resources {name}={count} or more, or leave the scenario out",
-                )
-                for name, (scenario, count) in lacking.items()
-            )
-        )
+    for name, (scenario, count) in lacking.items():
+        message = f"scenario {scenario} needs {count} {name}, and this server has {exist.get(name, 0)}"
+        remedy = f"start the server with --resources {name}={count} or more, or leave the scenario out"
+        diagnostics.add("problem", message, remedy)
+    diagnostics.raise_if_any()
 
 
 def checked(database: Database, limits: Limits, given: CampaignSpecification, *, again: bool = False) -> CalibrationProblem:
