@@ -67,17 +67,11 @@ class LocalEvaluation:
         """Returns a table with a row per scenario; failures and errors have columns if there are any."""
         cells = self.cells.values()
         reasons = [name for name in ("failure", "error") if any(getattr(cell, name) is not None for cell in cells)]
-        return html_table(
-            [
-                {
-                    "scenario": cell.scenario,
-                    "score": cell.score,
-                    **cell.metrics,
-                    **{name: getattr(cell, name) for name in reasons},
-                }
-                for cell in cells
-            ]
-        )
+        rows = []
+        for cell in cells:
+            told = {name: getattr(cell, name) for name in reasons}
+            rows.append({"scenario": cell.scenario, "score": cell.score, **cell.metrics, **told})
+        return html_table(rows)
 
 
 def evaluate(
