@@ -321,19 +321,9 @@ def settings_text(value: object) -> str:
     return ": ".join(filter(None, [value.get("kind"), settings]))
 
 
-ASKED = {
-    "Held fixed": "fixed",
-    "Baseline": "baseline",
-    "Optimizer": "optimizer",
-    "Budget": "budget",
-    "Objectives": "objectives",
-    "Constraints": "constraints",
-    "Variants": "variants",
-    "Sensitivity": "sensitivity",
-    "Reduction": "reduction",
-    "Robustness": "robustness",
-    "Validation": "validation",
-}
+_GOALS = ("baseline", "optimizer", "budget", "objectives", "constraints", "variants")
+_STAGES = ("sensitivity", "reduction", "robustness", "validation")
+ASKED = {"Held fixed": "fixed", **{name.capitalize(): name for name in (*_GOALS, *_STAGES)}}
 """Fields of a specification by the words for them."""
 USED = {"Driving function": "driving_function", "Vehicle": "vehicle", "Simulator": "simulator", "Files": "files"}
 """Fields of a scenario's setup by the words for them."""
