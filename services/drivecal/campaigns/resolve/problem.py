@@ -329,12 +329,9 @@ def resolve_evaluation(specification: EvaluationSpecification, bundles: BundleSo
             scenarios = (specification.scenario,)
         elif scenarios:
             diagnostics.add("scenario", f"there is no scenario {specification.scenario!r}", f"one of {', '.join(scenarios)}")
-    values = (
-        {}
-        if workbench.function is None
-        else free_values(specification.parameters, workbench.function, "parameters", diagnostics)
-    )
-    make, function = diagnostics.found(workbench.make), diagnostics.found(workbench.function)
+    offered = workbench.function
+    values = {} if offered is None else free_values(specification.parameters, offered, "parameters", diagnostics)
+    make, function = diagnostics.found(workbench.make), diagnostics.found(offered)
     parameter_set = ParameterSet.of(values)
     space = ParameterSpace(search_parameters(None, function))
     Constraints(space, function.constraints).check(parameter_set, "parameters")
