@@ -131,16 +131,10 @@ class Observer:
         self._failures[completed.tag] += 1
         count = self._failures[completed.tag]
         if count <= FAILURES_TOLD or count.bit_count() == 1:
+            result = completed.result
             log.warning(
                 "cell %d has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
-                *(
-                    completed.result.id,
-                    completed.attempts,
-                    completed.result.breakdown,
-                    completed.worker,
-                    count,
-                    completed.result.detail,
-                ),
+                *(result.id, completed.attempts, result.breakdown, completed.worker, count, result.detail),
                 extra={"campaign": completed.tag},
             )
 

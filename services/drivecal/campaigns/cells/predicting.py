@@ -316,19 +316,9 @@ class LotPlanner:
     def _new(self, first: RequestedCell, scenario: str, lot: Lot | None) -> NewLot:
         plan = SamplingPlan(0, 0, 0) if lot is None else lot.plan
         forecast = self._forecasts[scenario]
-        return NewLot(
-            first.iteration,
-            first.individual,
-            scenario,
-            plan.size,
-            plan.sample,
-            plan.acceptance,
-            self._tolerance,
-            self._reduction.limit,
-            forecast.known,
-            forecast.seconds,
-            Outcome.PREDICTED,
-        )
+        promised = plan.size, plan.sample, plan.acceptance, self._tolerance, self._reduction.limit
+        cost = forecast.known, forecast.seconds
+        return NewLot(first.iteration, first.individual, scenario, *promised, *cost, Outcome.PREDICTED)
 
     def _promoted(self, cells: Sequence[RequestedCell], best: float | None) -> set[int]:
         """Individuals whose predicted objective reaches the best simulated one, or whose mean one is less than `REACH` standard deviations

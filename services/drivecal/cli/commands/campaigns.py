@@ -276,16 +276,9 @@ def counted(campaign: Campaign) -> CellCounts:
 def _row(campaign: Campaign) -> list[object]:
     cells = counted(campaign)
     share = percent(saved(cells), 1) if cells.requested else None
+    best = None if campaign.best is None else judged_text(campaign.best)
     return [
-        campaign.id,
-        campaign.state,
-        campaign.kind,
-        when(campaign.created_at),
-        cells.requested,
-        cells.simulated,
-        share,
-        None if campaign.best is None else judged_text(campaign.best),
-        campaign.owner,
-        " ".join(campaign.tags) or None,
-        campaign.name,
+        *(campaign.id, campaign.state, campaign.kind, when(campaign.created_at)),
+        *(cells.requested, cells.simulated, share, best),
+        *(campaign.owner, " ".join(campaign.tags) or None, campaign.name),
     ]

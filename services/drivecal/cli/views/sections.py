@@ -204,16 +204,8 @@ def variants_table(variants: Sequence[VariantResult]) -> list[Block]:
 def validation_tables(rows: Sequence[ValidationRow], scale: Scale) -> list[Block]:
     """Returns the shares of wrong answers by scenario: of released predictions, or of variants that a map calls equal."""
     if any(row.released is not None for row in rows):
-        header = [
-            "scenario",
-            "released",
-            "simulated",
-            "different",
-            "beyond tolerance",
-            "per prediction in lots",
-            "limit",
-            "wrong",
-        ]
+        header = ["scenario", "released", "simulated", "different", "beyond tolerance"]
+        header += ["per prediction in lots", "limit", "wrong"]
         caption = (
             "Released predictions, simulated afterwards; limit: of the expected errors released, for each prediction in a lot; each 95 % "
             "interval is that of a binomial share (Clopper-Pearson)"
@@ -293,11 +285,8 @@ def front_lines(summary: FrontSummary) -> list[str]:
     """Returns what is known of a whole front: a line for each objective and constraint, for the baseline, and the numbers of sets."""
     lines = []
     for objective in summary.objectives:
-        ends = (
-            ""
-            if objective.best is None
-            else f", {objective.best:g} to {objective.worst:g}{unit_text(objective.unit)} on the front"
-        )
+        unit = unit_text(objective.unit)
+        ends = "" if objective.best is None else f", {objective.best:g} to {objective.worst:g}{unit} on the front"
         lines.append(f"{objective.direction} {objective.name} ({objective.aggregate}){ends}")
     lines += [f"subject to {constraint}" for constraint in summary.constraints]
     lines += [_baseline_line(summary, summary.baseline)] if summary.baseline is not None else []
