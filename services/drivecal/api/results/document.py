@@ -321,9 +321,8 @@ def settings_text(value: object) -> str:
     return ": ".join(filter(None, [value.get("kind"), settings]))
 
 
-_GOALS = ("baseline", "optimizer", "budget", "objectives", "constraints", "variants")
-_STAGES = ("sensitivity", "reduction", "robustness", "validation")
-ASKED = {"Held fixed": "fixed", **{name.capitalize(): name for name in (*_GOALS, *_STAGES)}}
+_SECTIONS = ("baseline", "optimizer", "budget", "objectives", "constraints", "variants", "sensitivity", "reduction")
+ASKED = {"Held fixed": "fixed", **{name.capitalize(): name for name in (*_SECTIONS, "robustness", "validation")}}
 """Fields of a specification by the words for them."""
 USED = {"Driving function": "driving_function", "Vehicle": "vehicle", "Simulator": "simulator", "Files": "files"}
 """Fields of a scenario's setup by the words for them."""
