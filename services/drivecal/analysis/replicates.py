@@ -144,6 +144,16 @@ class SetStatistics:
         result[leader] = 0.0
         return result
 
+    @property
+    def sound_noise(self) -> float | None:
+        """Deviation of a run that did not fail, without the effect of its seed, over all sets; None if unknown."""
+        if self.failing is None:
+            return self.noise
+        samples, failed, _ = self.failing
+        others = np.where(failed, np.nan, samples)
+        sound = others[np.isfinite(others).any(axis=1)]
+        return assess(sound).noise if len(sound) else None
+
     def probabilities(self) -> Floats:
         """Returns the probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0.
 

@@ -540,14 +540,19 @@ class Ranking:
         best, solution, known = self.best(), self.get(parameter_set), self._known
         if best is None or solution is None or best[0].parameter_set == parameter_set:
             return None, False
-        one, other = (self._samples.get(number, {}) for number in (best[0].parameter_set, parameter_set))
-        gains = [solution.sign * (one[seed] - other[seed]) for seed in one.keys() & other.keys() if seed > self._choosing]
+        numbers = best[0].parameter_set, parameter_set
+        one, other = (self._samples.get(number, {}) for number in numbers)
+        shared = [seed for seed in one.keys() & other.keys() if seed > self._choosing]
+        gains = [solution.sign * (one[seed] - other[seed]) for seed in shared]
         if len(gains) < 2 or self._level is not None:
             is_single = random and len(other) < 2 and (known is None or known.is_random or not known.is_known)
             return None, solution.is_close or is_single
-        noise, freedom = 0.0, 0.0
-        if known is not None and known.noise is not None:
-            noise, freedom = 2 * known.noise**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
+        noise, freedom, usual = 0.0, 0.0, None
+        if known is not None:  # failures of other sets say nothing of runs that did not fail
+            failed = any(cell.failed for number in numbers for seed in shared for cell in self._runs[number][seed].values())
+            usual = known.noise if failed else known.sound_noise or known.noise
+        if known is not None and usual is not None:
+            noise, freedom = 2 * usual**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
         return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
 

@@ -373,13 +373,18 @@ def test_an_extreme_over_seeds_is_refused(quantile: float) -> None:
         ReplicatesSpecification(aggregate=Quantile(quantile=quantile))
 
 
+@pytest.mark.parametrize("failing", [False, True])
 @pytest.mark.parametrize(("gap", "reported", "close"), [(2.0, True, False), (0.01, True, True), (2.0, False, True)])
-def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reported: bool, close: bool) -> None:
+def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reported: bool, close: bool, failing: bool) -> None:
+    """Whatever failures make of the noise of other sets."""
     ranking = by_score({"S1": 1}, COMFORT, ReplicatesSpecification(most=20))
     noise = np.random.Generator(np.random.PCG64(1)).normal(size=(3, 21))  # the last row is common to both
     for place, seeds in ((0, (1, 2, 3, 4, 13, 14, 15)), (1, (1, 13, 14, 15) if reported else (1,))):
         scores = {seed: float(5 - gap * place + 0.2 * noise[place, seed] + noise[2, seed]) for seed in seeds}
         ranking.add(CellScore(place, "S1", each, each, True, 0, place, seed=seed) for seed, each in scores.items())
+    for place, seed in product((2, 3), range(1, 13)) if failing else ():
+        worth = float(noise[2, seed] - 20 * (seed % 3 == 0))
+        ranking.add([CellScore(place, "S1", worth, worth, True, 0, place, seed=seed, failed=seed % 3 == 0)])
     gain, is_close = ranking.gain_over(1, random=True)
     assert (gain is not None, is_close) == (reported, close)
     assert ranking.gain_over(0, random=True) == (None, False)
