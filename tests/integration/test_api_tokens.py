@@ -154,3 +154,13 @@ def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_
         assert [ask("bob", *each) for each in asked[:2]] == [202, 200]
         assert ask("alice", "/answers", "GET") == 200
         assert ask("root", "/finish") == 202
+
+
+def test_results_from_elsewhere_are_deleted_by_who_imported_them_and_by_an_admin(tmp_path: Path) -> None:
+    row = {"parameters": {f"P{number}": 0.5 for number in range(1, 12)}, "scenario": "S1", "scores": {"comfort": 5.0}}
+    given = {"problem": "highway", "source": "car 7", "date": "2026-11-20", "rows": [row]}
+    with of_three(tmp_path, "write") as api:
+        for name, status in (("alice", 403), ("bob", 200), ("root", 200)):
+            api.http.post("/api/v1/results", headers=bearer("bob-0123456789abcdef"), json=given).raise_for_status()
+            headers = bearer(f"{name}-0123456789abcdef")
+            assert api.http.delete("/api/v1/results?problem=highway&source=car 7", headers=headers).status_code == status

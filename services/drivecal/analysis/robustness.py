@@ -54,7 +54,7 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
     away = np.abs(scores - nominal)
     if condition != "max":
         size = np.broadcast_to(np.maximum(np.abs(nominal), least), away.shape)
-        away = np.divide(away, size, out=np.where(away > 0, np.inf, away), where=size > 0)  # of nothing, no change is none
+        away = np.divide(away, size, out=np.where(away > 0, np.inf, away), where=size > 0)  # 0 / 0: no change
     return np.asarray(away.mean(axis=0) if condition == "mean" else away.max(axis=0), dtype=np.float64)
 
 

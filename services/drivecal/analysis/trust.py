@@ -527,7 +527,7 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
     cells, best = campaign.cells, campaign.best
     if best is not None and best.failure_interval is not None:
-        is_permitted = any("rate" in each for each in campaign.spec.get("constraints") or () if isinstance(each, dict))
+        is_permitted = any(each.get("rate") is not None for each in campaign.spec.get("constraints") or ())
         light: Light | Literal["neutral"] = "amber" if best.failures and not is_permitted else "neutral"
         yield verdict("failing_runs", light, failures=best.failures, most=best.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):

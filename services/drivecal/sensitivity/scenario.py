@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from drivecal.contracts.tables import DecidedBy
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import Diagnostics
 from drivecal.domain.influence import EVERYWHERE, Influence
 from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
@@ -39,17 +39,12 @@ def intervals_of(parameter: Parameter, intervals: int) -> int:
 def check_intervals(space: ParameterSpace, intervals: int) -> None:
     """Raises InvalidInputError naming every parameter whose grid has fewer steps than there would be intervals, and what would fit."""
     fitting = min((each.n_values - 1 for each in space.searched if each.kind in {"grid", "continuous"}), default=1)
-    problems = [
-        Problem(
-            "sensitivity.intervals",
-            f"{intervals} intervals are finer than the grid of {parameter.name}, which has {parameter.n_values} values",
-            f"give at most {fitting}",
-        )
-        for parameter in space.searched
-        if parameter.n_values - 1 < intervals_of(parameter, intervals)
-    ]
-    if problems:
-        raise InvalidInputError(*problems)
+    diagnostics = Diagnostics()
+    for parameter in space.searched:
+        if parameter.n_values - 1 < intervals_of(parameter, intervals):
+            grid = f"the grid of {parameter.name}, which has {parameter.n_values} values"
+            diagnostics.add("sensitivity.intervals", f"{intervals} intervals are finer than {grid}", f"give at most {fitting}")
+    diagnostics.raise_if_any()
 
 
 @dataclass(frozen=True, slots=True)

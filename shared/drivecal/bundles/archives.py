@@ -31,17 +31,7 @@ LARGEST_RATIO = 1100
 DEEPEST = 32
 _EARLIEST = (1980, 1, 1, 0, 0, 0)
 _END, _ENTRY, _LOCATOR_64 = b"PK\x05\x06", b"PK\x01\x02", b"PK\x06\x07"
-UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OSError,
-    struct.error,
-    KeyError,
-)
+UNREADABLE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, ValueError, OSError, struct.error, KeyError)
 """Exceptions of zipfile for archives that are damaged."""
 
 

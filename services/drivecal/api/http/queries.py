@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field, StringConstraints
 from starlette.requests import HTTPConnection
 
 from drivecal.api.responses import ROOT, qualities
-from drivecal.contracts.strict_json import Identifier, Tag, shown
+from drivecal.contracts.strict_json import ONE_LINE, Tag, shown
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -157,7 +157,7 @@ class CellOf(Parameters):
 
     iteration: Place
     individual: Place
-    scenario: Identifier
+    scenario: Annotated[str, StringConstraints(min_length=1, max_length=200, pattern=ONE_LINE)]
 
 
 class SubmissionOf(Parameters):

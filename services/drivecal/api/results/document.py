@@ -63,8 +63,10 @@ def results_of(
         front = front_of(stored)
     baseline = None if front is None else baseline_of(database, campaign, front)
     chosen = None if front is None or place is None else set_at(stored, front, place, baseline)
-    if chosen is not None and chosen.is_best and not objectives:
-        chosen = None  # its verdicts are the campaign's
+    if chosen is not None and chosen.is_best and front is not None and len(front.goals.objectives) == 1:
+        chosen = (
+            None if front.goals == stored.resolved.goals else chosen
+        )  # its verdicts are the campaign's; a variant has its own
     return CampaignResults(
         campaign=campaign_answer(campaign, now(), silent=None),
         setup=known,
@@ -185,6 +187,7 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
     campaign, scenario = stored.campaign, next(iter(front.goals.objectives[0].shares))
     with stored.database.read() as connection:
         cell = results.by_id(connection, results.number_at(connection, campaign.sequence, *place, scenario))
+        is_random = evaluations.are_seeded(connection, campaign.sequence)
     parameters = cell.parameters.floats
     is_best = campaign.best is not None and campaign.best.parameters == parameters
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
@@ -211,7 +214,7 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,
         is_best=is_best,
-        is_random=judged.replicates > 1 or judged.standard_error is not None,
+        is_random=is_random,
     )
 
 

@@ -101,7 +101,7 @@ class SourceOf(Parameters):
 def delete(query: Annotated[SourceOf, Query()], request: Request, database: DatabaseDependency) -> ImportDeleted:
     """Deletes the results of a source."""
     with database.transaction() as connection:
-        for owner in {row.owner for row in imported.listing(connection, query.problem, query.source)}:
+        for owner in imported.owners(connection, query.problem, query.source):
             refuse_others(request, query.source, owner)
         return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
 

@@ -124,13 +124,10 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
         note = few if len(own) < LEAST_SETS else "the values of all sets are the same"
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
+    figures = (each.tolist() for each in (result.mean, result.deviation, result.lower, result.upper))
     items = [
-        ParameterImportance(
-            parameter=parameter.name, importance=float(mean), deviation=float(deviation), lower=float(lower), upper=float(upper)
-        )
-        for parameter, mean, deviation, lower, upper in zip(
-            searched, result.mean, result.deviation, result.lower, result.upper, strict=True
-        )
+        ParameterImportance(parameter=parameter.name, importance=mean, deviation=deviation, lower=lower, upper=upper)
+        for parameter, mean, deviation, lower, upper in zip(searched, *figures, strict=True)
     ]
     items.sort(key=lambda item: -item.importance)
     return ImportanceAnswer.of(
@@ -152,11 +149,9 @@ def _notes(
     r2: float,
 ) -> list[str]:
     """Returns sentences about a weak fit, and about parameters on which importance and influence map disagree."""
-    notes = (
-        [f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little"]
-        if r2 < WEAK
-        else []
-    )
+    notes = []
+    if r2 < WEAK:
+        notes.append(f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little")
     if campaign.influence_map_id is None:
         return notes
     with database.read() as connection:

@@ -195,7 +195,8 @@ class CellTracker:
                 answers += failed
                 orphans += copies
         stored = runs.insert_results(connection, [self._new_run(*simulated) for simulated in finished])
-        others = {cell.id: each.result.metrics for (cell, each, _), run in zip(finished, stored, strict=True) if not run.agrees}
+        pairs = zip(finished, stored, strict=True)
+        others = {cell.id: each.result.metrics for (cell, each, _), run in pairs if not (run.agrees and run.is_whole)}
         evaluations.store(connection, "metrics", others)
         for (cell, simulation, rating), run in zip(finished, stored, strict=True):
             answers += self._simulated(cell, simulation, rating, run)

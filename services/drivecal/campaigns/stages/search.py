@@ -163,9 +163,8 @@ class SearchStage(Stage):
                 self._save(connection)  # what is noted at the end of a search
             return None
         with self._database.transaction() as connection:
-            last, _ = evaluations.cells_from(
-                connection, sequence, self.name, first
-            )  # further seeds may have had rounds in between
+            # runs under further seeds may have had rounds in between
+            last, _ = evaluations.cells_from(connection, sequence, self.name, first)
             taken = max(first, last)
             if self._confirming is None:
                 tried = results.sets_since(connection, sequence, self.name, first)
@@ -202,7 +201,7 @@ class SearchStage(Stage):
         if (confirming.tried or dismissed) and best is not None:
             last, scenarios = self._next - 1, self._problem.scenarios
             self._error_rate = check_reuse(connection, self._view, last, scenarios, self._error_rate)
-            if self._confirmation is None:
+            if self._confirmation is None or self._confirmation.tried < len(confirming.tried):
                 is_front, untried = self._problem.goals.is_vector, self._ranking.doubtful(confirming.tried)
                 front = self._ranking.front() if is_front else []
                 if is_front and (not best[0].reused or any(member.solution.reused for member in front)):

@@ -210,13 +210,9 @@ def check_references(connection: Connection) -> Iterator[str]:
     several = select(runs.c.setup_id, runs.c.parameter_set_id).group_by(runs.c.setup_id, runs.c.parameter_set_id)
     for setup, parameters in connection.execute(several.having(func.count() > 1).limit(5)):
         yield f"parameter set {parameters} has several runs in setup {setup}"
-    for sentence, broken in (
-        ("have no rating", ~exists().where(ratings.c.run_id == runs.c.id)),
-        (
-            "were simulated for no cell that is there",
-            ~exists().where(origin.c.id == runs.c.evaluation_id, origin.c.campaign_sequence == runs.c.campaign_sequence),
-        ),
-    ):
+    unrated = ~exists().where(ratings.c.run_id == runs.c.id)
+    lost = ~exists().where(origin.c.id == runs.c.evaluation_id, origin.c.campaign_sequence == runs.c.campaign_sequence)
+    for sentence, broken in (("have no rating", unrated), ("were simulated for no cell that is there", lost)):
         count, first = connection.execute(select(func.count(), func.min(runs.c.id)).where(broken)).one()
         if count:
             yield f"{count:,} runs {sentence}, the first of them run {first}"

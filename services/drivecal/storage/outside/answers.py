@@ -1,8 +1,6 @@
 """Answers of the cells that outside optimizers propose, by arrival."""
 
-from typing import Any
-
-from sqlalchemy import ColumnElement, Connection, func, select
+from sqlalchemy import Connection, func, select
 
 from drivecal.contracts.outside.sets import CellAnswered
 from drivecal.domain.campaigns import StageName
@@ -18,13 +16,8 @@ def number(connection: Connection, campaign_sequence: int, iteration: int) -> No
     """Numbers the new answers, by arrival. Earlier iterations have theirs."""
     cell = evaluations.c
     mine = cell.campaign_sequence == campaign_sequence
-    new = select(cell.id).where(
-        mine,
-        cell.stage == StageName.CALIBRATION,
-        cell.iteration >= iteration,
-        cell.outcome.is_not(None),
-        cell.answered.is_(None),
-    )
+    searched = cell.stage == StageName.CALIBRATION, cell.iteration >= iteration
+    new = select(cell.id).where(mine, *searched, cell.outcome.is_not(None), cell.answered.is_(None))
     ids = list(connection.scalars(new.order_by(cell.id)))
     if ids:
         newest = connection.scalar(select(func.max(cell.answered)).where(mine, cell.answered.is_not(None))) or 0
@@ -40,18 +33,10 @@ def after(connection: Connection, campaign: StoredCampaign, last: int, limit: in
         & (proposed.individual == cell.individual)
     )
     names = ("scenario", "seed", "outcome", "score", "rating", "reference", "failure", "detail")
-    columns: list[ColumnElement[Any]] = [
-        cell.answered.label("number"),
-        proposed.number.label("set"),
-        proposed.key,
-        parameter_sets.c.parameter_values.label("parameters"),
-        cell.id.label("evaluation"),
-        *(cell[name] for name in names),
-        cell.metrics.label("own"),
-        runs.c.metrics,
-    ]
+    labelled = {"number": cell.answered, "set": proposed.number, "evaluation": cell.id, "own": cell.metrics}
+    columns = *(column.label(name) for name, column in labelled.items()), *(cell[name] for name in names)
     query = (
-        select(*columns)
+        select(*columns, proposed.key, parameter_sets.c.parameter_values.label("parameters"), runs.c.metrics)
         .select_from(
             evaluations.join(outside_sets, own)
             .join(parameter_sets, parameter_sets.c.id == cell.parameter_set_id)

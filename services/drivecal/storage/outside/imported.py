@@ -76,6 +76,12 @@ def listing(connection: Connection, problem: str, source: str | None = None) -> 
     return [record(ImportedValues, row, parameters=ParameterSet.from_json(row.parameter_values)) for row in rows]
 
 
+def owners(connection: Connection, problem: str, source: str) -> set[str | None]:
+    """Returns who stored the results of a source."""
+    table = imported_results.c
+    return set(connection.scalars(select(table.owner).where(table.problem == problem, table.source == source).distinct()))
+
+
 def remove(connection: Connection, problem: str, source: str) -> int:
     """Deletes the results of a source, and returns how many there were."""
     table = imported_results.c

@@ -4,11 +4,10 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import repeat
-from math import nan
 from statistics import fmean
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, case, func, select, update
+from sqlalchemy import ColumnElement, Connection, Select, case, func, select
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
@@ -63,6 +62,8 @@ class StoredRun:
     id: int
     evaluation_id: int
     agrees: bool
+    is_whole: bool = True
+    """It has all measures of the new result: a problem may declare further ones."""
 
 
 def occupying() -> ColumnElement[float]:
@@ -234,13 +235,8 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
         for run, result, old, new in zip(stored, results, before, values, strict=True)
     ]
     late: dict[tuple[int, str], NewRun] = {}
-    for run, result, old, new, same in zip(stored, results, before, values, repeats, strict=True):
-        is_more = same and not new.keys() <= old.keys()  # measures that the problem has declared since
-        if is_more:
-            kept = {name: nan if value is None else value for name, value in old.items()}
-            packed, *_ = pack_metrics(connection, [{**kept, **result.metrics}])
-            connection.execute(update(runs).where(runs.c.id == run.id).values(metrics=packed))
-        if (result.from_series or is_more) and same and result.failure is None:
+    for run, result, same in zip(stored, results, repeats, strict=True):
+        if result.from_series and same and result.failure is None:
             late.setdefault((run.id, result.evaluator), result)
     standing = _ratings(connection, sorted({run.id for run in stored}))
     missing = {key: result for key, result in late.items() if key not in standing}
@@ -252,8 +248,9 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
             evaluation_id=run.evaluation_id,
             agrees=same
             and standing.get((run.id, result.evaluator), (result.score, result.rating)) == (result.score, result.rating),
+            is_whole=new.keys() <= old.keys(),
         )
-        for run, result, same in zip(stored, results, repeats, strict=True)
+        for run, result, old, new, same in zip(stored, results, before, values, repeats, strict=True)
     ]
 
 

@@ -82,9 +82,9 @@ export function intervalText({ lower, upper }: Pick<Best, "lower" | "upper">): s
 }
 
 /** What the runs of a random simulator tell of a ranked set; empty without them. */
-export function knownOf(set: Pick<Best, "lower" | "upper" | "failures" | "replicates">): string {
+export function knownOf(set: Pick<Best, "lower" | "upper" | "failures" | "replicates"> & { seeds: readonly number[] }): string {
   const interval = intervalText(set);
-  return interval && `Objective ${interval} by the seeds that report it, of ${count(set.replicates)}; ${count(set.failures)} of all its runs failed.`;
+  return interval && `Objective ${interval} by ${count(Math.max(1, set.seeds.length))} of its ${count(set.replicates)} seeds; ${count(set.failures)} of all its runs failed.`;
 }
 
 /** The signs of lights; `open` while a search goes on. */
