@@ -291,8 +291,9 @@ def change_labels(connection: Connection, campaign_id: str, new: CampaignChanges
 
 def having(tags: Sequence[str]) -> list[ColumnElement[bool]]:
     """Returns the conditions of a list of the campaigns with all of the `tags`."""
-    stored = cast(campaigns.c.tags, Text)  # LIKE would ignore case on SQLite
-    return [func.replace(stored, json.dumps(tag), "") != stored for tag in tags]
+    stored = func.replace(cast(campaigns.c.tags, Text), r"\"", ",")  # a quote within a tag begins no other tag
+    # LIKE would ignore case on SQLite
+    return [func.replace(stored, json.dumps(tag).replace(r"\"", ","), "") != stored for tag in tags]
 
 
 def named(connection: Connection, sequences: Collection[int]) -> dict[int, tuple[str, str]]:

@@ -131,9 +131,9 @@ Source = Annotated[str, StringConstraints(min_length=1, max_length=200, strip_wh
 Choice = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=ONE_LINE), AfterValidator(_visible)]
 """Text that names a choice."""
 Tag = Annotated[
-    str, StringConstraints(min_length=1, max_length=40, pattern=rf'^[^\x00-\x20{_STEERING},"\\]+$'), AfterValidator(_visible)
+    str, StringConstraints(min_length=1, max_length=40, pattern=rf"^[^\x00-\x20{_STEERING},]+$"), AfterValidator(_visible)
 ]
-"""A word without spaces, commas, double quotes and backslashes, as it is searched for in JSON."""
+"""A word without spaces and commas."""
 Identifier = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z][A-Za-z0-9_.-]*$")]
 ProblemName = Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 """Name of a problem, or digest of a bundle."""
