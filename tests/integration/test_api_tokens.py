@@ -158,9 +158,12 @@ def test_sets_of_an_outside_optimizer_are_taken_from_the_owner_and_an_admin(tmp_
 
 def test_results_from_elsewhere_are_deleted_by_who_imported_them_and_by_an_admin(tmp_path: Path) -> None:
     row = {"parameters": {f"P{number}": 0.5 for number in range(1, 12)}, "scenario": "S1", "scores": {"comfort": 5.0}}
-    given = {"problem": "highway", "source": "car 7", "date": "2026-11-20", "rows": [row]}
+    given = {"problem": "highway", "source": "car 7", "rows": [row]}
     with of_three(tmp_path, "write") as api:
-        for name, status in (("alice", 403), ("bob", 200), ("root", 200)):
-            api.http.post("/api/v1/results", headers=bearer("bob-0123456789abcdef"), json=given).raise_for_status()
+        for owner, date in (("bob", "2026-11-20"), ("root", "2026-11-21")):
+            headers = bearer(f"{owner}-0123456789abcdef")
+            api.http.post("/api/v1/results", headers=headers, json=given | {"date": date}).raise_for_status()
+        for name, status, deleted in (("alice", 403, None), ("bob", 200, 1), ("root", 200, 1)):
             headers = bearer(f"{name}-0123456789abcdef")
-            assert api.http.delete("/api/v1/results?problem=highway&source=car 7", headers=headers).status_code == status
+            answer = api.http.delete("/api/v1/results?problem=highway&source=car 7", headers=headers)
+            assert (answer.status_code, answer.json().get("deleted")) == (status, deleted)

@@ -12,7 +12,10 @@ from tests.support.runs import post_map, rows_of, run, submit
 from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
+from drivecal.api.results.document import results_of
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
@@ -90,6 +93,9 @@ def test_the_best_set_is_simulated_and_ranked_anew(confirmed: tuple[Database, St
     assert plain.best.objective in {item["objective"] for item in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert (plain.notes, plain.confirmation) == ((), None)
+    stored = StoredRanking(database, campaign, resolved_spec(campaign))
+    first = stored.sets.best_first()[0]
+    assert results_of(stored, place=(first.iteration, first.individual)).trust == results_of(stored).trust
 
 
 def test_a_confirming_cell_is_explained_and_ranks(confirmed: tuple[Database, StoredCampaign, StoredCampaign]) -> None:

@@ -146,7 +146,7 @@ class SetStatistics:
 
     @property
     def sound_noise(self) -> float | None:
-        """Deviation of a run that did not fail, without the effect of its seed, over all sets; None if unknown."""
+        """Deviation of a run that did not fail, without the effect of its seed, over these sets; None if unknown."""
         if self.failing is None:
             return self.noise
         samples, failed, _ = self.failing

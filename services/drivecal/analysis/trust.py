@@ -80,8 +80,7 @@ class BesideBaseline:
 class Chosen:
     """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
     score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
-    objective and constraint has a value. `is_best`: the search ended with this set. `is_random`: other seeds give other values.
-    `bounded`: as of `Evidence`."""
+    objective and constraint has a value. `is_random`: other seeds give other values. `bounded`: as of `Evidence`."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -90,7 +89,6 @@ class Chosen:
     undecided: bool = False
     baseline_violation: float = 0.0
     is_judged: bool = True
-    is_best: bool = False
     is_random: bool = False
     failed: Sequence[str] = ()
     scenarios: int = 1
@@ -165,7 +163,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_references(campaign),
         *_predictions(campaign, _newest(known.studies, of_predictions=True)),
         *_noise(campaign),
-        *_failures(campaign),
+        *_failures(campaign, known),
         *_cut(campaign),
         *_robustness(campaign, known.studies),
     ]
@@ -332,7 +330,8 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     undecided = campaign.baseline.undecided or campaign.best.undecided
     fewest, most = campaign.best.failure_interval or (0.0, 0.0)
-    unseen = most if known.has_failures and fewest == 0 and campaign.objective is None else 0.0
+    is_mean = campaign.baseline.gain is not None and campaign.objective is None  # of a quantile few failures may cost nothing
+    unseen = most if known.has_failures and fewest == 0 and is_mean else 0.0
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif campaign.baseline.close:
@@ -524,10 +523,10 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("noise", "amber", unrepeatable=unrepeatable)
 
 
-def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
+def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     cells, best = campaign.cells, campaign.best
-    if best is not None and best.failure_interval is not None:
-        is_permitted = any(each.get("rate") is not None for each in campaign.spec.get("constraints") or ())
+    if best is not None and best.failure_interval is not None and known.chosen is None:
+        is_permitted = any(_limits_failures(each) for each in campaign.spec.get("constraints") or ())
         light: Light | Literal["neutral"] = "amber" if best.failures and not is_permitted else "neutral"
         yield verdict("failing_runs", light, failures=best.failures, most=best.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
@@ -535,6 +534,12 @@ def _failures(campaign: Campaign) -> Iterator[ResultVerdict]:
             share = count / max(1, cells.requested)
             light = "amber" if share > FEW else "neutral"
             yield verdict(code, light, count=count, requested=cells.requested, share=share)
+
+
+def _limits_failures(constraint: Mapping[str, Any]) -> bool:
+    """Returns whether a constraint permits a share of failed runs, in each scenario."""
+    named = [constraint.get(name) for name in ("score", "measure", "changes", "distance")]
+    return constraint.get("rate") is not None and named == [None] * 4 and constraint.get("scenarios") == "all"
 
 
 def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:

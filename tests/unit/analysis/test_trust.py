@@ -161,7 +161,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
     for rate, light in ((0.1, "neutral"), (None, "amber")):
-        rated = {"optimizer": {"kind": "genetic"}, "constraints": [{"measure": "y", "rate": rate}]}
+        rated = {"optimizer": {"kind": "genetic"}, "constraints": [{"measure": None, "rate": rate, "scenarios": "all"}]}
         assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == light
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
     result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
@@ -183,7 +183,8 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
 @pytest.mark.parametrize(("most", "fails", "light"), [(0.3, True, "green"), (0.4, True, None), (0.4, False, "green")])
 def test_a_gain_that_unseen_failures_may_cost_is_not_known(most: float, fails: bool, light: str | None) -> None:
     best = BEST.model_copy(update={"failure_interval": (0.0, most)})
-    result = trust(campaign(best=best, baseline=before(4.0)), Evidence(has_failures=fails))
+    baseline = before(4.0).model_copy(update={"gain": 2.0})
+    result = trust(campaign(best=best, baseline=baseline), Evidence(has_failures=fails))
     assert result.light("baseline") == light  # a failed run is worth 0, the best set 6
 
 

@@ -124,11 +124,11 @@ async def owner_of(request: Request) -> str | None:
     return None if token is ANYBODY else token.name
 
 
-def refuse_others(request: Request, name: str, owner: str | None) -> None:
+def refuse_others(request: Request, name: str, owner: str | None, kind: str = "campaign") -> None:
     """Raises HTTPException (403) if the token may not steer a campaign, or delete imported results, of this owner."""
     token: Token = request.state.token
     if not token.may_steer(owner):
-        raise HTTPException(403, f"{name} belongs to {owner}; only {owner} or an admin may change or delete it")
+        raise HTTPException(403, f"{kind} {name} belongs to {owner}; only {owner} or an admin may change or delete it")
 
 
 def refuse_push(request: Request) -> str | None:

@@ -63,10 +63,9 @@ def results_of(
         front = front_of(stored)
     baseline = None if front is None else baseline_of(database, campaign, front)
     chosen = None if front is None or place is None else set_at(stored, front, place, baseline)
-    if chosen is not None and chosen.is_best and front is not None and len(front.goals.objectives) == 1:
-        chosen = (
-            None if front.goals == stored.resolved.goals else chosen
-        )  # its verdicts are the campaign's; a variant has its own
+    is_best = chosen is not None and campaign.best is not None and chosen.parameters == campaign.best.parameters
+    if is_best and front is not None and len(front.goals.objectives) == 1 and front.goals == stored.resolved.goals:
+        chosen = None  # its verdicts are the campaign's; a variant has its own
     return CampaignResults(
         campaign=campaign_answer(campaign, now(), silent=None),
         setup=known,
@@ -189,10 +188,9 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         cell = results.by_id(connection, results.number_at(connection, campaign.sequence, *place, scenario))
         is_random = evaluations.are_seeded(connection, campaign.sequence)
     parameters = cell.parameters.floats
-    is_best = campaign.best is not None and campaign.best.parameters == parameters
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
     if judged is None:
-        return Chosen(parameters, is_judged=False, is_best=is_best)
+        return Chosen(parameters, is_judged=False)
     if baseline is not None and judged.parameter_set in front.reports:
         baseline = front.reports.get(baseline.parameter_set, baseline)
     judged = front.reports.get(judged.parameter_set, judged)
@@ -213,7 +211,6 @@ def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], 
         violation=judged.violation,
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,
-        is_best=is_best,
         is_random=is_random,
     )
 

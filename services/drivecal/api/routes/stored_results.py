@@ -15,6 +15,7 @@ from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import given_sets, stored_simulations
+from drivecal.configuration.tokens import Token
 from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults
 from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
 from drivecal.contracts.specification import ProblemSpecification
@@ -99,11 +100,14 @@ class SourceOf(Parameters):
 
 @router.delete("")
 def delete(query: Annotated[SourceOf, Query()], request: Request, database: DatabaseDependency) -> ImportDeleted:
-    """Deletes the results of a source."""
+    """Deletes what one imported of a source; an admin deletes all of it."""
+    token: Token = request.state.token
     with database.transaction() as connection:
-        for owner in imported.owners(connection, query.problem, query.source):
-            refuse_others(request, query.source, owner)
-        return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source))
+        known = imported.owners(connection, query.problem, query.source)
+        own = [owner for owner in known if token.may_steer(owner)]
+        for owner in () if own else known:
+            refuse_others(request, query.source, owner, "source")
+        return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source, own))
 
 
 def _check(given: ImportedResults, bench: Bench) -> None:

@@ -260,7 +260,7 @@ evaluations = Table(
     Column("attempts", Integer, nullable=False),
     Column("runs", Integer, nullable=False),  # starts of the simulator, as in `CellCounts`
     Column("detail", Text),
-    Column("metrics", Document),  # of its own run, if it differs from the stored run of the same set
+    Column("metrics", Document),  # of its own run, if the stored run of the same set differs or has fewer
     # Set for cells that the predictor predicted. `lot` is set if it was trusted, or if references are to answer the cell.
     Column("lot", Identity),
     Column("confidence", Float),

@@ -1,9 +1,9 @@
 """Results of vehicles, test benches and other tools. No look-up of the reference table reads them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import Connection, delete, func, select
+from sqlalchemy import Connection, delete, false, func, or_, select
 
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.parameters import ParameterSet
@@ -82,7 +82,10 @@ def owners(connection: Connection, problem: str, source: str) -> set[str | None]
     return set(connection.scalars(select(table.owner).where(table.problem == problem, table.source == source).distinct()))
 
 
-def remove(connection: Connection, problem: str, source: str) -> int:
-    """Deletes the results of a source, and returns how many there were."""
+def remove(connection: Connection, problem: str, source: str, owners: Collection[str | None]) -> int:
+    """Deletes the results of a source that these owners stored, and returns how many there were."""
     table = imported_results.c
-    return connection.execute(delete(imported_results).where(table.problem == problem, table.source == source)).rowcount
+    stored_by = or_(false(), *(table.owner.is_not_distinct_from(owner) for owner in owners))
+    return connection.execute(
+        delete(imported_results).where(table.problem == problem, table.source == source, stored_by)
+    ).rowcount
