@@ -6,6 +6,7 @@ common disappears from comparisons. The last seeds are kept back: they choose no
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
@@ -144,7 +145,7 @@ class SetStatistics:
         result[leader] = 0.0
         return result
 
-    @property
+    @cached_property
     def sound_noise(self) -> float | None:
         """Deviation of a run that did not fail, without the effect of its seed, over these sets; None if unknown."""
         if self.failing is None:

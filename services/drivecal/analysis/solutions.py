@@ -550,7 +550,8 @@ class Ranking:
         noise, freedom, usual = 0.0, 0.0, None
         if known is not None:  # failures of other sets say nothing of runs that did not fail
             failed = any(cell.failed for number in numbers for seed in shared for cell in self._runs[number][seed].values())
-            usual = known.noise if failed or known.sound_noise is None else known.sound_noise
+            sound = None if failed else known.sound_noise
+            usual = known.noise if sound is None else sound
         if known is not None and usual is not None:
             noise, freedom = 2 * usual**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5

@@ -27,7 +27,7 @@ from drivecal.analysis.convergence import (
 from drivecal.analysis.verdicts import answers, confirmation_verdict, verdict
 from drivecal.contracts.campaign import Campaign, ErrorRate, Released
 from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
-from drivecal.contracts.specification import ReductionSpecification
+from drivecal.contracts.specification import ConstraintSpecification, ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.rounding import grain
@@ -526,7 +526,8 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     cells, best = campaign.cells, campaign.best
     if best is not None and best.failure_interval is not None and known.chosen is None:
-        is_permitted = any(_limits_failures(each) for each in campaign.spec.get("constraints") or ())
+        constraints = map(ConstraintSpecification.model_validate, campaign.spec.get("constraints") or ())
+        is_permitted = any(each.counts_failures and each.scenarios == "all" for each in constraints)
         light: Light | Literal["neutral"] = "amber" if best.failures and not is_permitted else "neutral"
         yield verdict("failing_runs", light, failures=best.failures, most=best.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
@@ -534,12 +535,6 @@ def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
             share = count / max(1, cells.requested)
             light = "amber" if share > FEW else "neutral"
             yield verdict(code, light, count=count, requested=cells.requested, share=share)
-
-
-def _limits_failures(constraint: Mapping[str, Any]) -> bool:
-    """Returns whether a constraint permits a share of failed runs, in each scenario."""
-    named = [constraint.get(name) for name in ("score", "measure", "changes", "distance")]
-    return constraint.get("rate") is not None and named == [None] * 4 and constraint.get("scenarios") == "all"
 
 
 def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:
@@ -558,11 +553,14 @@ def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[
     if recommended is not None:
         is_bounded = campaign.best is not None and bool(campaign.best.constraints)
         unseen = "; its constraints were not looked at there (`drivecal check --vehicle-parameters`)" if is_bounded else ""
-        code, light = ("robust", "neutral" if unseen else "green") if recommended.degree else ("not_robust", "amber")
+        light: Light | Literal["neutral"] = "neutral" if unseen else "green"
         least = "at least " if recommended.at_least else ""
         most = recommended.failing_at_most
         failing = "" if most is None else f"; up to {100 * most:.1f} % of all such vehicles may still break it (95 %)"
-        yield verdict(code, light, least=least, radius=recommended.radius, failing=failing, unseen=unseen)  # type: ignore[arg-type]  # a literal
+        if recommended.degree:
+            yield verdict("robust", light, least=least, radius=recommended.radius, failing=failing, unseen=unseen)
+        else:
+            yield verdict("not_robust", "amber", least=least, radius=recommended.radius)
 
 
 def _newest(studies: Iterable[StudyResult], *, of_predictions: bool) -> list[tuple[str, ValidationRow]]:

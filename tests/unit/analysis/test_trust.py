@@ -160,8 +160,8 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "neutral"
     seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
-    for rate, light in ((0.1, "neutral"), (None, "amber")):
-        rated = {"optimizer": {"kind": "genetic"}, "constraints": [{"measure": None, "rate": rate, "scenarios": "all"}]}
+    for constraint, light in (({"rate": 0.1}, "neutral"), ({"measure": "y", "at_most": 1.0, "rate": None}, "amber")):
+        rated = {"optimizer": {"kind": "genetic"}, "constraints": [constraint]}
         assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == light
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
     result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))
