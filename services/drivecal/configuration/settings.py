@@ -29,6 +29,7 @@ from pydantic import (
 )
 from pydantic_settings import BaseSettings, InitSettingsSource, NoDecode, PydanticBaseSettingsSource, SettingsConfigDict
 
+from drivecal.cluster.settings import host_and_port
 from drivecal.contracts.strict_json import Identifier
 from drivecal.domain.errors import InvalidInputError, Problem
 
@@ -130,6 +131,8 @@ class Settings(BaseSettings):
     def _of_ray(cls, value: str | None, info: ValidationInfo) -> str | None:
         if value is not None and info.data.get("backend") == "processes":
             raise ValueError("processes run on this machine only; leave the address out, or the backend")
+        if value is not None:
+            host_and_port(value)
         return value
 
     @field_validator("url")

@@ -113,11 +113,12 @@ class Observer:
             for answer in result.results:
                 if answer.breakdown is None:
                     MEASURES.evaluation.observe(answer.milliseconds / 1000)
-            for kind in broken.values():
-                MEASURES.breakdowns.labels(kind).inc()
         else:
             self._activity.came_back(dispatch.worker, dispatch.batch_id, 0, 0.0)
-            MEASURES.breakdowns.labels(DEPARTED if event.departed else event.breakdown).inc()
+            if event.departed and event.begun:
+                MEASURES.breakdowns.labels(DEPARTED).inc()
+        for kind in broken.values():
+            MEASURES.breakdowns.labels(kind).inc()
         final = {completion.result.id for completion in completed}
         for cell, kind in broken.items():
             if cell not in final:

@@ -268,5 +268,5 @@ def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
 
 
 def _longest(expected_seconds: float | None) -> float:
-    """Longest time until a batch sent now comes back; it may wait behind a batch like it."""
+    """Returns the time of the lease of a batch that is sent now; it may wait behind a batch like it."""
     return 2 * max(DEADLINE_SECONDS, DEADLINE_FACTOR * (expected_seconds or 0.0))

@@ -24,7 +24,7 @@ class Call:
     seconds: float
     """Time limit."""
     expected: float = 0.0
-    """Expected seconds; 0 if unknown."""
+    """Expected seconds; 0 if unknown, infinity for simulators of users."""
 
 
 @dataclass(slots=True)

@@ -47,7 +47,7 @@ class SimulatedCell:
 
 @dataclass(frozen=True, slots=True)
 class LocalEvaluation:
-    """The results of one parameter set, by scenario in the order of the catalogue."""
+    """The results of one parameter set, by scenario in the order asked for."""
 
     parameters: Mapping[str, Given]
     cells: Mapping[str, SimulatedCell]

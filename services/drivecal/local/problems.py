@@ -36,6 +36,8 @@ from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, S
 from drivecal.runtime.compilation import prepare_cache
 
 SEED = 20261121
+MOST_DRAWN = 20
+"""Sets that are drawn until there is another one."""
 FAULTS = (NoMeasuresError, UnavailableError, OSError)
 Settings = Mapping[str, Setting]
 
@@ -96,15 +98,19 @@ def trial_set(manifest: Manifest) -> dict[str, Setting]:
 
 
 def other_set(manifest: Manifest) -> dict[str, Setting] | None:
-    """Returns a set of the space that keeps all constraints, drawn with a fixed seed; None if nothing that was drawn does."""
+    """Returns a set that is not the `trial_set` and keeps all constraints, drawn with a fixed seed; None if none was drawn."""
     constraints = Constraints(ParameterSpace(parameters_of(manifest)), constraints_of(manifest))
-    last = constraints.space.n_values - 1
-    try:
-        [row] = constraints.region(0 * last, last).sample(1, np.random.default_rng(SEED))
-    except InvalidInputError:
-        return None
-    values = constraints.space.parameter_set(row.tolist()).floats
-    return {name: _typed(entry, values[name]) for name, entry in manifest.scalars.items()}
+    last, generator, tried = constraints.space.n_values - 1, np.random.default_rng(SEED), trial_set(manifest)
+    for _ in range(MOST_DRAWN):
+        try:
+            [row] = constraints.region(0 * last, last).sample(1, generator)
+        except InvalidInputError:
+            break
+        values = constraints.space.parameter_set(row.tolist()).floats
+        other = {name: _typed(entry, values[name]) for name, entry in manifest.scalars.items()}
+        if other != tried:
+            return other
+    return None
 
 
 def run_problem(
@@ -229,7 +235,9 @@ def undeclared(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[s
     Files of the system, of the installation of Python, and of runs themselves are left out.
     """
     own = (*OF_THE_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, str(sessions()), str(Path(__file__).parents[3]))
-    covered = [Path(each) for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))]
+    covered = [
+        Path(each).resolve() for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))
+    ]
     opened = sorted({Path(path) for result in checked for path in result.opened})
     return [
         f"a run opened {path} outside of the problem's folder: add it to `simulator.inputs` in problem.yaml, or stored runs are reused"

@@ -12,8 +12,6 @@ Continuous parameters have up to 51 bits, integers up to 21: a flip of a random 
 of choices have no meaning beyond their identity.
 """
 
-from functools import cached_property
-
 import numpy as np
 import numpy.typing as npt
 
@@ -34,18 +32,9 @@ class BitEncoding:
         self.n_values = searchable(n_values)
         self.bits: Indices = np.array([(n - 1).bit_length() for n in n_values.tolist()], dtype=np.int64)
         """Bits per parameter, k, shape (n_searched,)."""
-
-    @cached_property
-    def _largest(self) -> Indices:
-        return np.array([2**k - 1 for k in self.bits.tolist()], dtype=np.int64)
-
-    @cached_property
-    def _starts(self) -> Indices:
-        return np.cumsum(self.bits) - self.bits
-
-    @cached_property
-    def _shifts(self) -> Indices:
-        return np.concatenate([np.arange(k - 1, -1, -1) for k in self.bits.tolist()])
+        self._largest: Indices = np.array([2**k - 1 for k in self.bits.tolist()], dtype=np.int64)
+        self._starts: Indices = np.cumsum(self.bits) - self.bits
+        self._shifts: Indices = np.concatenate([np.arange(k - 1, -1, -1) for k in self.bits.tolist()])
 
     def indices(self, patterns: Indices) -> Indices:
         """The grid indices that bit patterns mean; both of shape (n, n_searched)."""

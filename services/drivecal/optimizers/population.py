@@ -28,8 +28,7 @@ def dump_floats(values: Floats) -> list[Any]:
     """Lists of the array's shape; NaN becomes null, which JSON knows."""
     plain = values.astype(object)
     plain[np.isnan(values)] = None
-    nested: list[Any] = plain.tolist()
-    return nested
+    return list(plain.tolist())
 
 
 def load_floats(values: Sequence[Any]) -> Floats:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from drivecal.cluster.settings import OBJECT_STORE_BYTES, PORT, VERSION_LABEL, release
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, host_and_port, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotAuthorisedError, Problem, UnavailableError
 
 SHORTEST_TOKEN = 16
@@ -23,20 +23,20 @@ def check_token(environment: Mapping[str, str]) -> None:
 
     Without tokens, every host that reaches a node can run code on it. Set `RAY_AUTH_MODE=disabled` to accept that.
     """
-    path = environment.get("RAY_AUTH_TOKEN_PATH")
-    if environment.get("RAY_AUTH_MODE") == "disabled" or (not path and environment.get("RAY_AUTH_TOKEN")):
+    path, token = environment.get("RAY_AUTH_TOKEN_PATH"), environment.get("RAY_AUTH_TOKEN")
+    if environment.get("RAY_AUTH_MODE") == "disabled":
         return
-    if not path:
+    if not path and not token:
         raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", "its token is missing", f"name its file; {TOKEN_REMEDY}"))
     try:
-        token = Path(path).read_text(encoding="ascii").strip()
+        token = Path(path).read_text(encoding="ascii").strip() if path else token or ""
     except (OSError, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "it is not text"
         message = f"the cluster's token cannot be read from {path}: {reason}"
         raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", message, TOKEN_REMEDY)) from None
     if len(token) < SHORTEST_TOKEN:
-        message = f"the cluster's token in {path} has {len(token)} characters; it needs at least {SHORTEST_TOKEN}"
-        raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH", message, TOKEN_REMEDY))
+        message = f"the cluster's token{f' in {path}' if path else ''} has {len(token)} characters; it needs at least {SHORTEST_TOKEN}"
+        raise InvalidInputError(Problem("RAY_AUTH_TOKEN_PATH" if path else "RAY_AUTH_TOKEN", message, TOKEN_REMEDY))
 
 
 def check_shared_memory(folder: Path = SHARED_MEMORY) -> None:
@@ -90,7 +90,8 @@ def members(client: Any, timeout: float = ANSWER_SECONDS) -> tuple[Node, ...]:
 def ask(address: str) -> tuple[Node, ...]:
     """Returns the nodes of the cluster whose head is at `address`, including the head's own.
 
-    Raises UnavailableError if the head does not respond or is still starting, and NotAuthorisedError if it rejects our token.
+    Raises UnavailableError if the head does not respond or is still starting, NotAuthorisedError if it rejects our token, and
+    InvalidInputError for text that is no address.
     """
     _check_port(address)
     import ray  # reads its environment on import, which must wait until a head listens
@@ -112,11 +113,10 @@ def ask(address: str) -> tuple[Node, ...]:
 
 def _check_port(address: str) -> None:
     """Raises UnavailableError at once if the port is closed; Ray takes most of a minute to notice."""
-    host, _, port = address.rpartition(":")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), CONNECT_SECONDS).close()
-    except ValueError:
-        raise UnavailableError(f"{address!r} is not the address of a head; give HOST:PORT, e.g. ray-head:{PORT}") from None
+        socket.create_connection(host_and_port(address), CONNECT_SECONDS).close()
+    except ValueError as error:
+        raise InvalidInputError(Problem("HOST:PORT", str(error))) from None
     except OSError as error:
         raise UnavailableError(f"the head at {address} does not answer: {error.strerror or error}") from error
 

@@ -52,6 +52,14 @@ DIGITS = 12
 """Hexadecimal digits of the sources' digest."""
 
 
+def host_and_port(address: str) -> tuple[str, int]:
+    """Returns where a head listens. Raises ValueError with what would be right."""
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 2**16:
+        raise ValueError(f"{address!r} is not the address of a head; give HOST:PORT, e.g. ray-head:{PORT}")
+    return host.strip("[]"), int(port)
+
+
 @cache
 def release() -> str:
     """Returns the version and a digest of the installed sources, e.g. `0.1.0-5f0c1d2e3a4b`, read once per process.

@@ -54,6 +54,8 @@ UNPLACED = "drivecal.unplaced"
 ORIGIN = "origId"
 """Parameter of lanes with which netconvert names the roads and lanes of an OpenDRIVE file."""
 
+_ORIGIN = re.compile(r"(\S+_-?[0-9]{1,3}( \S+_-?[0-9]{1,3})*)?")
+
 CONVERTED = ".net.xml"
 """Ending of a converted network's file, after that of its OpenDRIVE file."""
 CONVERTER = 2
@@ -222,6 +224,11 @@ class _Reader:
         """Returns the network. Raises InvalidInputError if it has no roads."""
         if not any(edge.function == "" for edge in self.edges.values()):
             raise InvalidInputError(Problem(self.name, "the network has no roads", "give a network with edges"))
+        for way in (way for ways in self.connections.values() for way in ways):
+            for name, lane in ((way.begin, way.from_lane), (way.end, way.to_lane)):
+                if name in self.edges and lane >= len(self.edges[name].lanes):
+                    message = f"line {way.line}: a connection names the lane {lane} of {shown(name, 60)}, which is missing"
+                    raise InvalidInputError(Problem(self.name, message, "build the network again"))
         connections = {edge: tuple(ways) for edge, ways in self.connections.items()}
         return Network(self.name, self.edges, connections, self.junctions, frozenset(self.roundabouts), self.offset)
 
@@ -298,7 +305,8 @@ class _Reader:
         elif key == LIMITS:
             self.lanes[-1] = replace(self.lanes[-1], limits=_limits(attributes))
         elif key == ORIGIN:
-            self.lanes[-1] = replace(self.lanes[-1], origin=attributes.text("value", ""))
+            origin = attributes.text("value", "")  # of networks of other sources, anything
+            self.lanes[-1] = replace(self.lanes[-1], origin=origin if _ORIGIN.fullmatch(origin) else None)
         elif key == UNPLACED:
             self.lanes[-1] = replace(self.lanes[-1], unplaced=attributes.text("value", ""))
 

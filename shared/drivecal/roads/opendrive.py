@@ -88,7 +88,10 @@ class Geometry:
         """Integrates cos and sin of the turned angle by the rule of Gauss-Legendre with five points."""
         bend = (last - first) / self.length
         panels = min(MOST_PANELS, max(1, ceil(self.length / PANEL)))
-        edges = np.unique(np.concatenate([np.linspace(0.0, self.length, panels + 1), ds]))
+        whole = np.linspace(0.0, self.length, panels + 1)
+        edges = np.unique(
+            np.concatenate([whole[: np.searchsorted(whole, ds.max()) + 1], ds])
+        )  # what lies beyond is not asked for
         steps = np.diff(edges)
         points = edges[:-1, None] + 0.5 * (1.0 + GAUSS_POINTS) * steps[:, None]
         angle = points * (first + 0.5 * bend * points)

@@ -24,10 +24,10 @@ def test_flags_win_over_environment_and_files(tmp_path: Path, monkeypatch: pytes
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.setenv("DRIVECAL_HOME", str(home))
-    (home / "config.toml").write_text("workers = 1\nray_address = 'at-home'\n")
-    assert (load_settings().workers, load_settings().ray_address) == (1, "at-home")
+    (home / "config.toml").write_text("workers = 1\nray_address = 'at-home:1'\n")
+    assert (load_settings().workers, load_settings().ray_address) == (1, "at-home:1")
     Path("drivecal.toml").write_text("workers = 2\n")
-    assert (load_settings().workers, load_settings().ray_address) == (2, "at-home")
+    assert (load_settings().workers, load_settings().ray_address) == (2, "at-home:1")
     monkeypatch.setenv("DRIVECAL_WORKERS", "3")
     assert load_settings().workers == 3
     assert load_settings(workers=4).workers == 4
@@ -53,7 +53,9 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
         (b"workers = 0", "^workers: 0 .*1.*DRIVECAL_WORKERS"),
         (b"workers = 1e30", "workers: "),
         (b"url = 'localhost:8000'", "^url: 'localhost:8000'"),
-        (b'ray_address = "a\\nb"', "ray_address: "),
+        (b'ray_address = "a\\nb:1"', "ray_address: "),
+        (b'ray_address = "head:http"', "^ray_address: 'head:http'"),
+        (b'ray_address = "head:99999"', "^ray_address: 'head:99999'"),
         (b"home = 3", "home: "),
     ],
 )

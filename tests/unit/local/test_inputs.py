@@ -117,9 +117,10 @@ def test_a_problem_without_inputs_asks_no_worker(table: Path) -> None:
         checked(manifest_of(table, inputs=["table.txt"]))
 
 
-@pytest.mark.parametrize("declared", [False, True])
-def test_a_check_warns_of_opened_files_that_are_not_declared(table: Path, declared: bool) -> None:
-    manifest = checked(manifest_of(table, inputs=[str(table)] if declared else None))
+@pytest.mark.parametrize("declared", ["table.txt", "link/table.txt", None])
+def test_a_check_warns_of_opened_files_that_are_not_declared(table: Path, declared: str | None) -> None:
+    (table.parent / "link").symlink_to(table.parent)
+    manifest = checked(manifest_of(table, inputs=[str(table.parent / declared)] if declared else None))
     results = list(run_problem(manifest, pack(table.parent / "problem"), {"x": 5}))
     assert results[0].measures == {"y": 12.0}
     assert [str(table) in warning for warning in undeclared(manifest, results)] == ([] if declared else [True])

@@ -11,7 +11,7 @@ from drivecal.adapters.pipes import Pipes
 from drivecal.bundles.archives import pack
 from drivecal.bundles.checks import checked
 from drivecal.local import evaluate
-from drivecal.local.problems import CheckedScenario, doubtful_ranges, run_problem
+from drivecal.local.problems import CheckedScenario, doubtful_ranges, other_set, run_problem
 from drivecal.plugins.simulators import BusyError
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function"
@@ -54,6 +54,12 @@ def check(folder: Path, simulator: str) -> CheckedScenario:
     (folder / "sim.py").write_text(simulator)
     [result] = run_problem(checked(DOCUMENT), pack(folder), {"x": 0.5}, {"x": 1.0})
     return result
+
+
+@pytest.mark.parametrize(("constraints", "other"), [([], {"x": "early"}), (["x != 'early'"], None)])
+def test_the_other_set_of_a_check_is_another_one(constraints: list[str], other: dict[str, str] | None) -> None:
+    document = DOCUMENT | {"parameters": {"x": {"choices": ["early", "late"]}}, "baseline": {"x": "late"}}
+    assert other_set(checked(document | {"constraints": constraints})) == other
 
 
 def test_a_simulator_that_removes_its_folder_is_named_by_the_check(tmp_path: Path) -> None:

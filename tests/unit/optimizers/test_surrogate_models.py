@@ -152,6 +152,14 @@ def test_failures_are_a_class_of_their_own() -> None:
     assert draws[0, others[:, 0] < 0.6, 0].max() < 10
 
 
+def test_rare_sound_answers_are_not_forgotten() -> None:
+    features, failed = drawn(MOST + 120, 5)[0] / 20, np.ones(MOST + 120, dtype=np.bool_)
+    features[:5], failed[:5] = 0.9 + features[:5], False
+    model = scenario_model()
+    model.learn(under(features), np.where(failed, 100.0, 6.0)[:, np.newaxis], failed, NONE)
+    assert model.predict(features[:5], pending=False).failing.max() < 0.2
+
+
 @pytest.mark.parametrize("count", [0, 1, FEWEST, MOST + 50])
 def test_any_number_of_answers_is_learned(count: int) -> None:
     features, targets = drawn(count, 5) if count else (np.empty((0, len(ENCODING.owners))), np.empty(0))

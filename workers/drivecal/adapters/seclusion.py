@@ -102,7 +102,7 @@ def _separate(writable: Collection[str], memory: int) -> None:
     kept = [path for path in ("/proc", *granted, *below) if not os.statvfs(path).f_flag & os.ST_RDONLY]
     _set("/", _Attributes(set=_READ_ONLY), _AT_RECURSIVE)
     if SHARED_MEMORY not in granted:
-        options = f"size={memory},mode=1777".encode()
+        options = f"size={memory},nr_inodes={memory >> 12},mode=1777".encode()
         check_call(_library.mount(b"tmpfs", SHARED_MEMORY.encode(), b"tmpfs", _NO_SUID | _NO_DEVICES, options))
     for path in granted:
         check_call(_library.mount(path.encode(), path.encode(), None, _BIND | _RECURSIVE, None))

@@ -32,7 +32,7 @@ class CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba ships no typ
         """Returns the names of stored functions by key; none if the index is damaged, or names types that an upgrade removed."""
         try:
             index: dict[Any, str] = super()._load_index()
-        except (AttributeError, ImportError, EOFError, UnpicklingError):
+        except (OSError, AttributeError, ImportError, EOFError, UnpicklingError):
             return {}
         return index
 

@@ -63,6 +63,7 @@ class TaskSession:
             values: list[Any] = [given[name] for name in self._runner.parameters]
             return self._runner.run([value if isinstance(value, str) else float(value) for value in values], series=series)
         except UnavailableError:
+            self._runner = None  # its seed and its traffic may be of two runs
             raise
         except (Exception, SystemExit) as error:  # a plug-in may raise any exception; the worker must survive
             self._runner = None  # it may be in any state

@@ -25,8 +25,8 @@ from drivecal.execution.supervised import CallFailedError, NotKnownYetError, Sup
 from drivecal.execution.worker_process import WorkerProcess
 
 CLUSTER_SETTLE_SECONDS = 90.0
-"""How long runs may outlive their worker in a cluster: a node that loses its head ends its workers after a minute
-(`gcs_rpc_server_reconnect_timeout_s`)."""
+"""How long runs may outlive their worker in a cluster: a node that loses its head ends its workers after 30 s, after a
+minute by Ray's default (`gcs_rpc_server_reconnect_timeout_s`)."""
 
 log = logging.getLogger(__name__)
 

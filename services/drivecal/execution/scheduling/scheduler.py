@@ -56,8 +56,6 @@ class Scheduler:
     def __init__(self, resources: Resources | None = None) -> None:
         """`resources`: the scarce things of the server, by default none."""
         self._resources = resources or Resources({})
-        self._is_scarce = False
-        """True once a setup needed resources, or was busy."""
         self._closing: dict[int, tuple[str, SetupRequest]] = {}
         """Setups that workers are asked to close, by batch."""
         self._costs = CellCosts()
@@ -87,7 +85,6 @@ class Scheduler:
         """
         setup = work.setup.key
         self._costs.relate(setup, work.setup.kind)
-        self._is_scarce |= bool(work.setup.resources)
         cost, had_none = self._costs.seconds_per_cell(setup), not self._in_flight.of(tag)
         claims = self._in_flight.add(work, tag, priority)
         if claims:
@@ -216,7 +213,6 @@ class Scheduler:
         self._worker_health.answered(result.worker, result)
         self._resources.end(sent.worker, request, closed=result.refusal is not None)
         self._resources.note(sent.worker, request, result.busy)
-        self._is_scarce |= result.busy is not None
         is_stopped = result.refusal is not None or result.busy is not None
         self._charge(sent, result.seconds if result.results or not is_stopped else 0.0)
         answers = {answer.id: answer for answer in result.results}
@@ -299,7 +295,7 @@ class Scheduler:
         if wholly and any(claim.simulation.leader is not None for claim in self._in_flight.of(tag)):
             return None
         reasons: dict[str, list[str]] = {}
-        for key in self._queue.setups(tag) if self._is_scarce else ():
+        for key in self._queue.setups(tag):
             setup = self._in_flight.setup(key)
             if (reason := self._resources.why(setup)) is not None:
                 reasons.setdefault(reason, []).append(setup.scenario)
@@ -321,15 +317,15 @@ class Scheduler:
 
     def _has_startable(self, worker: str, line: Line) -> bool:
         """Returns whether a worker may start a cell of a line: its resources are free and its simulator is not busy."""
-        return not self._is_scarce or any(self._may_start(worker, setup) for setup in line.setups)
+        return any(self._may_start(worker, setup) for setup in line.setups)
 
     def _keep_back(self, worker: str, line: Line) -> None:
-        for setup in line.setups if self._is_scarce else ():
+        for setup in line.setups:
             if worker not in self.refusals.refusing(setup):  # it would wait here in vain
                 self._resources.keep_back(worker, self._in_flight.setup(setup))
 
     def _may_start(self, worker: str, setup: SetupKey) -> bool:
-        return not self._is_scarce or self._resources.may_start(worker, self._in_flight.setup(setup))
+        return self._resources.may_start(worker, self._in_flight.setup(setup))
 
     def _close(self, worker: str, chosen: SetupKey | None) -> Dispatch | None:
         """Returns the request to close a setup that holds resources at an idle worker, if there is one."""
@@ -380,8 +376,8 @@ class Scheduler:
             and not (only_short and self._is_long(setup))
             and self._may_start(worker, setup)
         ]
-        if self._is_scarce:  # what is scarce is never left to the end
-            able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
+        # what is scarce is never left to the end
+        able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
         chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
         return None if chosen is None else line.groups[chosen]
 
@@ -415,8 +411,7 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, TARGET_SECONDS if expected is None else expected)
-        campaign = tracing.root(sent.line.tag)
-        trace = None if campaign is None else tracing.child(campaign)
+        trace = tracing.child(tracing.root(sent.line.tag))
         batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders), trace=trace)
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)

@@ -139,7 +139,7 @@ class ScenarioModel:
         """Learns from answers in the order of asking: values, shape (n, n_values), and failures, shape (n,)."""
         known = len(failed)
         self._least = 1.0 / (known + 2)  # Laplace's rule of succession
-        held = _kept(points.features)
+        held = np.union1d(_kept(points.features), np.flatnonzero(~failed)[-MOST // 10 :])  # sound ones may be rare
         points, values, failed = points[held], values[held], failed[held]
         if known > 0 and failed.all():
             self._hope(points, pending[:0])

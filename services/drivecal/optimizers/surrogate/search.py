@@ -166,7 +166,7 @@ class SurrogateSearch:
                 self._ask(begun, scenario, cells)
 
     def _search(self, room: int, at_once: int, cells: list[AskedCell]) -> None:
-        """Fills the room: sets that may still win are asked on, then new ones begin; at the end nothing that cannot be completed."""
+        """Fills the room: sets that may still win are asked on, then new ones begin; at the end first what can be completed."""
         self._learn()
         self._standings = [
             Standing.of(aim, self._values(self._answers.complete(needs)))
@@ -175,6 +175,8 @@ class SurrogateSearch:
         self._merits = {}
         promising = self._promising()
         for begun, drawn, aim in promising:
+            if self._left is not None and len(self._answers.missing(begun)) > self._left:
+                continue
             wanted = min(room - len(cells), at_once - self._answers.pending(begun))
             self._ask_deciding(begun, drawn, aim, wanted, cells)
         first = True

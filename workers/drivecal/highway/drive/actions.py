@@ -216,7 +216,8 @@ class PathVehicle:
 
     def __init__(self, entry: TrafficEntry) -> None:
         """Takes an entry with a path."""
-        self._points = np.array(entry.path, np.float64)
+        points = np.array(entry.path, np.float64)
+        self._points = points[np.r_[True, np.any(np.diff(points, axis=0), axis=1)]]
         self._lengths, self._half = lengths(self._points), 0.5 * entry.length
         self._start = entry.s, entry.speed
         self.along, self.speed = self._start

@@ -7,7 +7,7 @@ import os
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from drivecal.adapters.driver import described
 from drivecal.adapters.fmu_driver import Fmu, end_if_fatal, refuse_first
@@ -135,17 +135,7 @@ class ControllerError(DrivecalError):
     """A controller raised an exception, ended, or gave something else than its commands."""
 
 
-class Controller(Protocol):
-    """A controller of one scenario."""
-
-    def begin(self, parameters: Mapping[str, Any]) -> None:
-        """Starts a run with these parameters, from the controller's initial state."""
-
-    def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        """Returns the commands in the order of the manifest's `output`. `signals` have the order of `geometry.NAMES`."""
-
-
-class FunctionController(Controller):
+class FunctionController:
     """A function `(observation, parameters)`, or a class with `step(observation)` that is made for each run."""
 
     def __init__(self, target: Callable[..., Any], output: Sequence[str], scenario: Mapping[str, Any]) -> None:
@@ -176,7 +166,7 @@ class FunctionController(Controller):
         return (answer,)
 
 
-class LoadedFmuController(Controller):
+class LoadedFmuController:
     """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end.
 
     It is initialised in the first step, when its inputs are known.
@@ -217,6 +207,10 @@ class LoadedFmuController(Controller):
         self._count += 1
         values = self._reader.read()
         return [values[index] for index in self._order]
+
+
+Controller = FunctionController | ProgramController | LoadedFmuController
+"""A controller of one scenario: `begin` starts a run, `step` takes signals in the order of `geometry.NAMES` and gives commands."""
 
 
 class Checked:

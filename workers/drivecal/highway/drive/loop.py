@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from drivecal.highway.drive.control import EgoControl, RunView
 from drivecal.highway.drive.geometry import S, path_of
 from drivecal.highway.drive.measures import TICK, Record, distance_at_limit
 from drivecal.highway.drive.traffic import Traffic
-from drivecal.highway.geometry import hit
+from drivecal.highway.geometry import hit, swept
 from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.kernels import FOLLOWED, PATH, TOO_SHORT, TRAJECTORY, UNSTABLE, drive
 from drivecal.highway.vehicle.model import SingleTrackModel
@@ -53,11 +53,9 @@ Returns FOLLOWED, UNSTABLE or OFF_ROAD. Raises ValueError if the trajectory is t
 """
 
 
-class Watcher(Protocol):
-    """Sees a run at the start and after each step of the traffic. The next step overwrites the arrays."""
-
-    def __call__(self, traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
-        """Sees the other vehicles, the ego vehicle's pose, and the trajectory if the step began with a new one."""
+Watcher = Callable[[Traffic, Floats, Floats | None], None]
+"""Sees a run at the start and after each step of the traffic: the others, the ego vehicle's pose, and the trajectory if the step began with a
+new one. The next step overwrites the arrays."""
 
 
 class StartError(DrivecalError):
@@ -248,9 +246,17 @@ class Loop:
         if recorded < ticks:  # the run ended within a step of the traffic
             self._record(ticks * tick, (ticks - recorded) * tick, row)
             row += 1
+            if failure is None and self._strikes(rows[row - 2], (ticks - recorded) * tick):
+                failure = "collision"
         width = 2.0 * motion.item(geometry.SIZE + 1)
         record = Record(rows[:row], self._dynamics[: ticks * self._count], self._wanted, finish, width)
         return FinishedRun(record, failure)
+
+    def _strikes(self, before: Floats, seconds: float) -> bool:
+        """Returns whether the ego vehicle has hit another one since the last step of the traffic, all others straight on."""
+        outlines, size = self._traffic.outlines, self._motion[geometry.SIZE : geometry.SIZE + 2]
+        moved = geometry.moved_on(outlines, seconds)
+        return hit(moved, self._pose, size) >= 0 or swept(outlines, moved, before[1:4], self._pose, size) >= 0
 
 
 def _whole(duration: float, part: float, field: str) -> int:

@@ -7,6 +7,7 @@ import numpy as np
 
 from drivecal.contracts.evaluation import ReplayAnswer, ReplayEgo, ReplayVehicle
 from drivecal.domain.roads import Floats
+from drivecal.highway.drive.geometry import moved_on
 from drivecal.highway.drive.measures import Record
 from drivecal.highway.drive.surfaces import line_of, route_surface, rows_between
 from drivecal.highway.drive.traffic import Traffic
@@ -63,7 +64,8 @@ class DriveRecorder:
         if self._seen == count:
             moments[count - 1] = self._newest
         elif self._seen < count:  # the run ended within a step of the traffic
-            moments[count - 1] = _moved_on(*self._newest, times.item(-1) - times.item(self._seen - 1))
+            names, outlines = self._newest
+            moments[count - 1] = names, moved_on(outlines, times.item(-1) - times.item(self._seen - 1))
         shown = list(moments)
         if len(shown) < 2:
             return None
@@ -80,15 +82,6 @@ class DriveRecorder:
             ego=ReplayEgo(length_m=length, width_m=record.width, **columns),
             others=_vehicles(list(moments.values())),
         )
-
-
-def _moved_on(names: list[str], outlines: Floats, seconds: float) -> Moment:
-    """Returns vehicles at a later time, straight on at their speeds."""
-    moved = outlines.copy()
-    ways = seconds * np.abs(outlines[:, 5])
-    moved[:, 0] += ways * np.cos(outlines[:, 2])
-    moved[:, 1] += ways * np.sin(outlines[:, 2])
-    return names, moved
 
 
 def _vehicles(moments: Sequence[Moment]) -> list[ReplayVehicle]:
