@@ -6,9 +6,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, StringConstraints, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, StringConstraints, Tag, model_validator
 from pydantic_core import to_jsonable_python
 
 from drivecal.bundles.highway_actions import Action, Lane, Position, Speed, VehicleId
@@ -240,13 +241,24 @@ class HighwayScenario(Surroundings):
     """The route may lead over crossings without traffic lights; no vehicle gives way there."""
 
 
+def _rising(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    for (before, _), (place, _) in pairwise(knots):
+        if not before < place:
+            raise ValueError(f"{place:g} does not lie above {before:g}; give the pairs in rising order, each place once")
+    return knots
+
+
 class Task(Model):
     """The task of the planner: to be in the target lane at the desired speed at the end. Lanes count from the right, from 0."""
 
     start_lane: Lane
     target_lane: Lane
-    speeds: Annotated[list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100)]
-    """Pairs of arc length (m) and desired speed (m/s): the speed applies beyond that point of the road."""
+    speeds: Annotated[
+        list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]],
+        Field(min_length=1, max_length=100),
+        AfterValidator(_rising),
+    ]
+    """Pairs of arc length (m), rising, and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
     """Earliest time (s) at which the vehicle wants the target lane."""
     hold: Annotated[float, Field(gt=0, le=3600)] = 1.0
@@ -289,7 +301,11 @@ class TrafficVehicle(Model):
     acceleration: Annotated[float, Field(gt=0, le=50)] = 1.5
     deceleration: Annotated[float, Field(gt=0, le=50)] = 3.0
     time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
-    drift: Annotated[list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list)]
+    drift: Annotated[
+        list[Annotated[tuple[Number, Number], Field(strict=False)]],
+        Field(max_length=1000, default_factory=list),
+        AfterValidator(_rising),
+    ]
     """Offsets (m, to the left of the lane's centre) by time (s), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""

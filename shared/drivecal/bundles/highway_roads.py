@@ -20,6 +20,7 @@ from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem, restated
+from drivecal.domain.roads import Road
 from drivecal.roads.carriageway import carriageway
 from drivecal.roads.conversion import converted
 from drivecal.roads.corridor import Corridor, corridor
@@ -114,16 +115,34 @@ def _roads_of_tasks(
             except InvalidInputError as error:
                 yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
             else:
-                yield f"scenarios.{name}", list(_starts(scenario, road.length, f"scenarios.{name}"))
+                yield f"scenarios.{name}", list(_starts(scenario, road, f"scenarios.{name}"))
 
 
-def _starts(scenario: TaskScenario, length: float, field: str) -> Iterator[Problem]:
-    """Yields the faults of vehicles that start beyond an end of the road, of `length` (m), under some seed."""
+def _starts(scenario: TaskScenario, road: Road, field: str) -> Iterator[Problem]:
+    """Yields the lanes that the road does not have, and vehicles that start off the road, inside of each other, or, under some seed, beyond
+    an end of the road."""
+    ego, task = scenario.ego, scenario.task
+    wanted = {"task.start_lane": task.start_lane, "task.target_lane": task.target_lane}
+    wanted |= {f"traffic[{index}].lane": other.lane for index, other in enumerate(scenario.traffic)}
+    for place, lane in wanted.items():
+        if lane >= road.lanes:
+            yield Problem(f"{field}.{place}", f"{lane} of a road of {road.lanes} lanes", f"give 0 to {road.lanes - 1}")
+    for place, value, least, most in (("s", ego.s, 0.0, road.length), ("d", ego.d, road.right_edge, road.left_edge)):
+        if not least <= value <= most:
+            yield Problem(f"{field}.ego.{place}", f"{value:g} m is off the road", f"give {least:g} to {most:.2f}")
+    starts = [("ego", ego.s, ego.d, ego.length, ego.width)]
     for index, other in enumerate(scenario.traffic):
         reach = FARTHEST * other.departure_deviation * other.speed
-        if not reach <= other.s <= length - reach:
-            message = f"{other.id} starts at {other.s - reach:g} to {other.s + reach:g} m of a road of {length:.2f} m"
-            yield Problem(f"{field}.traffic[{index}].s", message, f"give {reach:g} to {length - reach:.2f}")
+        last = road.length - reach - 0.5 * other.length
+        if not reach <= other.s <= last:
+            message = f"{other.id} starts at {other.s - reach:g} to {other.s + reach:g} m of a road of {road.length:.2f} m"
+            yield Problem(f"{field}.traffic[{index}].s", message, f"give {reach:g} to {last:.2f}")
+        offset = other.lane * road.lane_width
+        for name, s, d, length, width in starts:
+            if 2 * abs(s - other.s) < length + other.length and 2 * abs(d - offset) < width + other.width:
+                message = f"{other.id} starts inside of {name}"
+                yield Problem(f"{field}.traffic[{index}].s", message, "place them farther apart")
+        starts.append((other.id, other.s, offset, other.length, other.width))
 
 
 def _notes(road: Corridor, field: str, scenario: HighwayScenario) -> Iterator[str]:
@@ -218,7 +237,7 @@ class _Roads:
         if name != network_file(name) and (source is None or source_of(file.content) != _digest(source)):
             raise InvalidInputError(replace(_stale("", name), field="network"))
         with restated(lambda problem: replace(problem, field="network", message=_message(problem))):
-            return map_of(self.files.read, name)
+            return map_of(self.files.read, name, self.check_time)
 
 
 def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:

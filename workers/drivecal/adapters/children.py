@@ -26,6 +26,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError, RunOutcome
 
 MOST_PROCESSES = 256
+MOST_THREADS = 4096
 """Limit of a child and its descendants; beyond it all are killed.
 
 RLIMIT_NPROC is not used: it counts all processes of the user, so that others' processes would fail the child's, and it does not hold root.
@@ -180,6 +181,8 @@ class Children:
         self._family = tuple(process.pid for process in family)
         if len(family) > MOST_PROCESSES:
             raise NoMeasuresError(Breakdown.ERROR, f"it runs {len(family):,} processes, more than {MOST_PROCESSES}")
+        if (count := sum(process.threads for process in family)) > MOST_THREADS:
+            raise NoMeasuresError(Breakdown.ERROR, f"it runs {count:,} threads, more than {MOST_THREADS:,}")
         threads = [process.thread for process in family]
         excess = self._disk.excess(threads)
         if excess is not None:

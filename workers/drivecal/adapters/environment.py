@@ -178,8 +178,8 @@ def discard(path: Path) -> None:
 def environment(home: Path, named: Collection[str]) -> dict[str, str]:
     """Returns the environment of a child: a few of the worker's variables, and the ones `named` by the manifest.
 
-    An allow list, because no pattern knows all secrets. This prevents accidents, not theft: a child of the same
-    user can read the worker's memory and files.
+    An allow list, because no pattern knows all secrets. This prevents accidents; where Landlock is missing, a child of the same user can
+    read the worker's memory and files all the same.
     """
     kept = {key: value for key, value in os.environ.items() if key in named or key in _THREADS or _INHERITED.fullmatch(key)}
     places = dict.fromkeys(("HOME", "TMPDIR", "TMP", "TEMP"), str(home))

@@ -98,6 +98,8 @@ _DEAD = (b"Z", b"X")
 
 MOST_LOOKS = 200_000
 """Limit of the descriptors at which a count of files without a name looks: a second."""
+SOCKET_BYTES = 208 << 10
+"""Bytes that may wait in a socket (`net.core.wmem_default` of Linux)."""
 MOST_MAPPINGS = 1_000_000
 """Limit of the mappings, as above."""
 
@@ -113,7 +115,7 @@ class Nameless:
     on_disk: dict[int, int] = field(default_factory=dict)
     """Bytes of disk by inode, of files that were in the folder."""
     in_memory: dict[tuple[int, int], int] = field(default_factory=dict)
-    """Bytes of memory by device and inode, of memfd_create and of files that were in /dev/shm."""
+    """Bytes of memory by device and inode, of memfd_create, of files that were in /dev/shm, and of sockets at most."""
     is_complete: bool = True
     """All processes show their files, and all threads were looked at."""
 
@@ -212,6 +214,8 @@ def is_in_memory(folder: str) -> bool:
 
 def _add(kept: Nameless, descriptor: str, folder: str) -> None:
     status = os.stat(descriptor)  # noqa: PTH116  # follows the link to the file itself
+    if stat.S_ISSOCK(status.st_mode):
+        kept.in_memory[status.st_dev, status.st_ino] = SOCKET_BYTES
     if status.st_nlink or not stat.S_ISREG(status.st_mode):
         return
     path = os.readlink(descriptor)  # noqa: PTH115  # as above

@@ -124,6 +124,8 @@ class Fmu:
         elif name in self.described and (wanted := wanted_by(self.described[name], value)) is not None:
             raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: {wanted}")
         elif access not in NUMBERS:
+            if value != int(value):
+                raise UnusableError(f"{value} does not fit the variable {name} of type {variable.type}: give a whole number")
             value = int(value)
         getattr(self._slave, f"set{access}")([variable.valueReference], [value])
 

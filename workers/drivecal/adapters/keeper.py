@@ -46,7 +46,7 @@ _PR_SET_PDEATHSIG, _PR_SET_CHILD_SUBREAPER = 1, 36
 
 
 class Seen(NamedTuple):
-    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes.
+    """A living process: its parent, CPU time (s) of its own and of children it has waited for, resident memory in bytes, threads.
 
     `thread`: the number under which /proc shows its memory and files: another than its own once its first thread has ended.
     """
@@ -56,6 +56,7 @@ class Seen(NamedTuple):
     own_seconds: float
     waited_seconds: float
     resident: int
+    threads: int
     thread: int
 
 
@@ -70,7 +71,7 @@ def seen(pid: int) -> Seen | None:
         return None
     own, waited = int(fields[11]) + int(fields[12]), int(fields[13]) + int(fields[14])
     thread, resident = (pid, int(fields[21])) if fields[0] != b"Z" else _of_living_thread(pid)
-    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, resident * _PAGE, thread)
+    return Seen(pid, int(fields[1]), own / _TICK, waited / _TICK, resident * _PAGE, int(fields[17]), thread)
 
 
 def _fields(pid: int) -> list[bytes] | None:

@@ -49,17 +49,19 @@ class Pipes:
         self._is_writing = False
         self._ended: int | None = None
         """Return code of the child."""
-        theirs_in, self._stdin = (os.open(os.devnull, os.O_RDONLY), -1) if silent else os.pipe()
-        self._stderr, theirs_err = os.pipe()
-        self._stdout, theirs_out = (-1, os.dup(theirs_err)) if silent else os.pipe()
-        try:
-            children.start(theirs_in, theirs_out, theirs_err)
-        except BaseException:
-            self._close_pipes()
-            raise
-        finally:
-            for descriptor in (theirs_in, theirs_out, theirs_err):
-                os.close(descriptor)
+        self._stdin = self._stdout = self._stderr = -1
+        with contextlib.ExitStack() as theirs:
+            try:
+                theirs_in, self._stdin = (os.open(os.devnull, os.O_RDONLY), -1) if silent else os.pipe()
+                theirs.callback(os.close, theirs_in)
+                self._stderr, theirs_err = os.pipe()
+                theirs.callback(os.close, theirs_err)
+                self._stdout, theirs_out = (-1, os.dup(theirs_err)) if silent else os.pipe()
+                theirs.callback(os.close, theirs_out)
+                children.start(theirs_in, theirs_out, theirs_err)
+            except BaseException:
+                self._close_pipes()
+                raise
         self._poll = select.poll()
         for descriptor in (self._stdout, self._stderr, children.control):
             if descriptor >= 0:

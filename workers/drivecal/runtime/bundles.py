@@ -289,7 +289,7 @@ class BundleSessions:
     def _opened_alone(self, setup: SetupRequest) -> SimulatorSession:
         """Opens a session, if need be without the others, which may hold the licence or the memory that it lacks. That is tried again only
         after IDLE_SECONDS: refused cells are asked for often, and the others would start again each time."""
-        _refuse_other_parts(setup, self._simulators(setup.simulator).version)
+        _refuse_other_parts(setup, lambda: self._simulators(setup.simulator).version)
         tried = self._clock() - self._failed_alone.get(setup.session_key, -math.inf) < IDLE_SECONDS
         try:
             session = self._opened(setup)
@@ -353,14 +353,13 @@ def _unable(error: OSError) -> UnavailableError:
     return UnavailableError(f"this machine cannot run simulators: {error}")
 
 
-def _refuse_other_parts(setup: SetupRequest, adapter: str) -> None:
+def _refuse_other_parts(setup: SetupRequest, adapter: Callable[[], str]) -> None:
     """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here, or cannot be loaded: the results are other
     ones, too."""
     if not setup.document:
         return
-    installed: dict[str, str | None] = {"adapter": adapter}
     try:
-        installed |= parts_of(setup.simulator, setup.data)
+        installed: dict[str, str | None] = {"adapter": adapter(), **parts_of(setup.simulator, setup.data)}
         if setup.evaluator is not None:  # its version makes an evaluator check its shipped files
             evaluator = registry.evaluator(setup.evaluator.split()[0])
             installed["evaluator"] = f"{evaluator.name} {evaluator.version}"

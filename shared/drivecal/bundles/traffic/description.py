@@ -112,10 +112,10 @@ def described_in(folder: Path, data: Mapping[str, Any], step: float) -> Descript
     return described(declared_scenario(data), Files(names, read), lambda name: map_of(read, name), step)
 
 
-def map_of(read: Callable[[str], bytes], name: str) -> Map:
-    """Returns the map of a network, whose file is read by `read`. Raises InvalidInputError."""
+def map_of(read: Callable[[str], bytes], name: str, check_time: Callable[[], None] = lambda: None) -> Map:
+    """Returns the map of a network, whose file is read by `read`. `check_time`: see Map. Raises InvalidInputError."""
     network = read_network(read(network_file(name)), name)
-    return Map(network, (lambda: read_opendrive(read(name), name)) if name != network_file(name) else None)
+    return Map(network, (lambda: read_opendrive(read(name), name)) if name != network_file(name) else None, check_time)
 
 
 def with_origin(problem: Problem, origins: Mapping[str, Problem]) -> Problem:

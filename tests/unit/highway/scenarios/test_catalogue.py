@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 import yaml
+from tests.support.changes import with_change
 from tests.support.values import faulty_fields
 
 from drivecal.bundles.archives import BundleFile
@@ -75,13 +76,24 @@ def test_the_random_motorway_differs_from_the_other_in_its_traffic_alone() -> No
     assert networks[0] == networks[1]
 
 
-@pytest.mark.parametrize(("vehicle", "s"), [(0, 4.4), (1, 1e4)])
-def test_a_vehicle_that_may_start_beyond_an_end_of_the_road_is_refused(vehicle: int, s: float) -> None:
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        ("traffic/0/s", 4.4, "traffic[0].s"),
+        ("traffic/1/s", 1098.5, "traffic[1].s"),
+        ("traffic/0/s", 151.0, "traffic[0].s"),
+        ("traffic/0/lane", 9, "traffic[0].lane"),
+        ("task/target_lane", 3, "task.target_lane"),
+        ("ego/d", 50.0, "ego.d"),
+        ("ego/s", 5000.0, "ego.s"),
+    ],
+)
+def test_starts_and_lanes_that_the_road_does_not_have_are_refused(path: str, value: float, field: str) -> None:
     document = yaml.safe_load((RANDOM_FOLDER / "problem.yaml").read_text()) | {"problem": "own"}
     files = {path.name: BundleFile(path.read_bytes(), executable=False) for path in RANDOM_FOLDER.glob("*.xml")}
     check_roads(checked(document), files)
-    document["scenarios"]["S1r"]["traffic"][vehicle]["s"] = s
-    assert faulty_fields(check_roads, checked(document), files) == [f"scenarios.S1r.traffic[{vehicle}].s"]
+    document = with_change(document, f"scenarios/S1r/{path}", value)
+    assert faulty_fields(check_roads, checked(document), files) == [f"scenarios.S1r.{field}"]
 
 
 def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:

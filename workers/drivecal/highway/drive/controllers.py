@@ -4,10 +4,13 @@ import copy
 import json
 import math
 import os
+import select
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drivecal.adapters.driver import described
 from drivecal.adapters.fmu_driver import Fmu, end_if_fatal, refuse_first
@@ -19,6 +22,7 @@ from drivecal.highway.drive.geometry import NAMES
 
 LONGEST_LINE = 1 << 16
 """Largest answer in bytes."""
+EXTRA_LINE = "the controller wrote more than one line in answer to one"
 END_SECONDS = 1.0
 """Time for a program that has closed its output to end."""
 
@@ -90,6 +94,8 @@ class ProgramController:
 
     def _send(self, content: bytes) -> None:
         try:
+            if select.select([self._stdout], [], [], 0)[0] and os.read(self._stdout, 1):
+                raise ProgramError(EXTRA_LINE)
             while content:
                 content = content[os.write(self._stdin, content) :]
         except OSError:
@@ -106,7 +112,7 @@ class ProgramController:
                 raise ProgramError(f"the controller wrote a line of more than {LONGEST_LINE >> 10} kB")
         line, _, rest = received.partition(b"\n")
         if rest:
-            raise ProgramError("the controller wrote more than one line in answer to one")
+            raise ProgramError(EXTRA_LINE)
         try:
             return json.loads(line)
         except (ValueError, RecursionError):
@@ -161,8 +167,8 @@ class FunctionController:
                 given, wanted = ", ".join(map(str, answer)) or "nothing", ", ".join(self._output)
                 raise ControllerError(f"{self._name} gave {given}, not {wanted}"[:300])
             return [answer[name] for name in self._output]
-        if isinstance(answer, (list, tuple)):
-            return answer
+        if isinstance(answer, (list, tuple)) or (isinstance(answer, np.ndarray) and answer.ndim == 1):
+            return list(answer)
         return (answer,)
 
 

@@ -54,8 +54,8 @@ Returns FOLLOWED, UNSTABLE or OFF_ROAD. Raises ValueError if the trajectory is t
 
 
 Watcher = Callable[[Traffic, Floats, Floats | None], None]
-"""Sees a run at the start and after each step of the traffic: the others, the ego vehicle's pose, and the trajectory if the step began with a
-new one. The next step overwrites the arrays."""
+"""Sees a run at the start and after each step of the traffic: the others, the ego vehicle's pose, and the trajectory if the step began
+with a new one. The next step overwrites the arrays."""
 
 
 class StartError(DrivecalError):

@@ -11,7 +11,7 @@ ego (6,): s, s', s'', d, d', d''; start (8,): the same at the start of the plan,
 quintics (8, n_lateral): six coefficients of d(t), end offset, horizon; quartics (7, n_longitudinal): five of s(t), end speed, horizon; the
     last plan in column 0, see `place_of`
 memory (8, 2): the previous plan, its quintic in column 0 and its quartic in column 1; horizons of 0 without a previous plan
-lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows named below
+lateral (6, n_lateral), longitudinal (2, n_longitudinal), combined (7, n_longitudinal, n_lateral): features, rows as in `terms`
 """
 
 from math import atan2, cos, hypot, sin
