@@ -119,6 +119,10 @@ def test_steering_leaves_the_road_and_a_blind_driver_hits_the_leader(tmp_path: P
     hit = result(blind, drive([BRAKING], 30.0))
     assert hit.failure == "collision"
     assert hit.measures["min_ttc_s"] < 0.2
+    jam = {"id": "jam", "s": 2996.5, "speed": 0, "model": "constant"}
+    through = result(blind, drive([jam], 30.0, ego={"s": 2705, "speed": 40}), step=0.5)
+    assert through.failure == "collision"
+    assert through.measures["progress"] > 0.99  # in the step that ends the route
     wild = motorway(tmp_path / "wild", "def control(o, p):\n    return [0, 0.3 if o['time'] > 1 else 0]\n")
     spun = result(wild, drive(), controller | {"output": ["acceleration", "steering"]})
     assert spun.failure == "unstable"

@@ -26,7 +26,7 @@ from tests.support.simulators import (
     write_server,
 )
 
-from drivecal.adapters import children, environment, keeper
+from drivecal.adapters import children, environment, files, keeper
 from drivecal.adapters.children import Children
 from drivecal.adapters.environment import GRANTED, Scratch
 from drivecal.domain.evaluations import Breakdown
@@ -161,14 +161,21 @@ def test_programs_may_clean_up_when_their_worker_ends(tmp_path: Path, monkeypatc
     assert out.read_text() == "cleaned"
 
 
-def test_a_child_beyond_a_limit_gets_no_time_to_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("limit", ["MOST_PROCESSES", "MOST_THREADS"])
+def test_a_child_beyond_a_limit_gets_no_time_to_clean_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str) -> None:
     out = tmp_path / "out"
     monkeypatch.setenv(GRANTED, str(tmp_path))
-    monkeypatch.setattr(children, "MOST_PROCESSES", 0)
+    monkeypatch.setattr(children, limit, 0)
     start = f"signal.signal(15, lambda *_: open({str(out)!r}, 'w').write('asked'))\nwhile True: time.sleep(600)"
     with served(tmp_path, start=start) as session:
         assert "more than 0" in lost(session, {"x": 1.0}, Breakdown.ERROR)
     assert not out.exists()
+
+
+def test_sockets_count_as_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "SOCKET_BYTES", 1 << 40)
+    with served(tmp_path, start="import socket\nkept = socket.socket()\ntime.sleep(600)") as session:
+        assert "MB of memory" in lost(session, {"x": 1.0}, Breakdown.MEMORY)
 
 
 @pytest.fixture

@@ -220,6 +220,17 @@ def test_a_value_that_is_no_number_spoils_its_statistics() -> None:
     assert str(statistics.min) == str(statistics.max) == str(statistics.mean) == "nan"
 
 
+def test_a_whole_number_is_not_cut_from_another_without_a_description() -> None:
+    fmu, written = Fmu.__new__(Fmu), list[object]()
+    variable = SimpleNamespace(type="Integer", dimensions=[], valueReference=1)
+    fmu.is_third, fmu.described, fmu.variables = False, {}, {"n": variable}
+    fmu._slave = SimpleNamespace(setInteger=lambda _, values: written.extend(values))
+    fmu._set("n", 2.0)
+    with pytest.raises(UnusableError, match="n"):
+        fmu._set("n", 2.7)
+    assert written == [2]
+
+
 def test_a_signal_that_its_variable_cannot_hold_is_refused_instead_of_wrapping() -> None:
     written: list[object] = []
     slave = SimpleNamespace(setInt8=lambda _, values: written.extend(values))

@@ -1,11 +1,13 @@
 """Simulators of kind `process`: the protocol, its faults, and what a fault costs."""
 
 import contextlib
+import errno
 import json
 import os
 import pickle
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -58,6 +60,17 @@ def test_a_fault_costs_its_run_only(tmp_path: Path, name: str) -> None:
         for _ in range(2):
             assert detail in lost(session, {"x": 1.0}, breakdown)
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
+
+
+def test_a_start_without_enough_descriptors_leaves_none_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with served(tmp_path) as session:
+        session.evaluate({"x": 0.0})
+        session._stop()
+        before = psutil.Process().num_fds()
+        monkeypatch.setattr(os, "pipe", Mock(side_effect=[os.pipe(), os.pipe(), OSError(errno.EMFILE, "too many open files")]))
+        with pytest.raises(OSError, match="too many"):
+            session.evaluate({"x": 1.0})
+        assert psutil.Process().num_fds() == before
 
 
 @pytest.mark.slow

@@ -76,6 +76,9 @@ def test_an_index_that_names_a_removed_type_or_is_cut_holds_no_function(tmp_path
     stored = CacheFile(str(tmp_path), "kernel", ("source",))
     stored.save("int", "another function")
     assert stored.load("int") == "another function"
+    index.unlink()
+    index.mkdir()  # cannot be read
+    assert CacheFile(str(tmp_path), "kernel", ("source",)).load("int") is None
 
 
 def kernels(module: ModuleType) -> list[Any]:

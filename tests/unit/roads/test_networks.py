@@ -63,6 +63,7 @@ BILLION = '<!DOCTYPE net [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
         (r'<edge id="after"', '<edge id="before"'),
         (r'<junction id="c"', '<junction id="b"'),
         (r'fromLane="0"', 'fromLane="-1"'),
+        (r'toLane="0"', 'toLane="9"'),
         (r'foes="[01]*"', 'foes="2"'),
         (r'<request index="0"', '<request index="7"'),
         (r"</net>", ""),
@@ -72,6 +73,13 @@ BILLION = '<!DOCTYPE net [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;">]>'
 )
 def test_what_is_wrong_is_refused_by_its_line(pattern: str, replacement: str) -> None:
     assert re.search(r"line \d+", refused(changed(pattern, replacement)))
+
+
+@pytest.mark.parametrize(("origin", "kept"), [("7_-3", "7_-3"), ("7_-3 8_1", "7_-3 8_1"), ("7_x", None), ("way 12", None)])
+def test_origins_of_lanes_are_roads_and_lanes_of_opendrive(origin: str, kept: str | None) -> None:
+    lane = rf'\1><param key="origId" value="{origin}"/></lane>'
+    network = read_network(changed(r'(<lane id="before_0"[^>]*)/>', lane), NAME)
+    assert network.edges["before"].lanes[0].origin == kept
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from drivecal.contracts.work import Batch, Cell, CellResult, SetupRequest
 from drivecal.domain.errors import LONGEST_DETAIL, UnavailableError
 from drivecal.highway.drive import tasks
 from drivecal.plugins import registry
+from drivecal.plugins.simulators import BusyError
 from drivecal.runtime import bundles
 from drivecal.runtime.cache import BundleCache, cache_folder
 from drivecal.runtime.worker import Worker
@@ -103,6 +104,10 @@ def test_one_session_drives_all_seeds_on_one_road_and_repeats_runs(monkeypatch: 
     assert begun == [1, 1, 2, 2, 1, 1]
     assert (first.repeats, first.starts, first.breakdown) == (True, 2, None)
     assert first.metrics == again.metrics != second.metrics
+    with monkeypatch.context() as taken:
+        taken.setattr(tasks, "PlannerControl", Mock(side_effect=BusyError("the licence is in use")))
+        assert worker.run(Batch(bench.seeded(2).requests["S1r"], (Cell(2, MIDDLE),))).busy
+    assert second.metrics == drive(worker, 2, check=False).metrics
     assert second.metrics == drive(Worker("w"), 2, check=False).metrics
 
 
@@ -145,14 +150,17 @@ def test_a_worker_without_the_plug_in_says_what_it_has() -> None:
     assert all(word in (result.refusal or "") for word in ("'another'", "frenet"))
 
 
-def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("part", "name"), [("driving_function", "frenet"), ("simulator", "highway")])
+def test_a_plug_in_that_cannot_be_imported_here_is_the_worker_s_fault(
+    monkeypatch: pytest.MonkeyPatch, part: str, name: str
+) -> None:
     def broken(name: str) -> None:
         raise OSError(f"{name}: no space left on device")
 
     request = _request()
-    monkeypatch.setattr(registry, "driving_function", broken)
+    monkeypatch.setattr(registry, part, broken)
     result = Worker("w").run(Batch(request, (Cell(1, MIDDLE),)))
-    assert "OSError: frenet: no space left on device" in (result.refusal or "")
+    assert f"OSError: {name}: no space left on device" in (result.refusal or "")
 
 
 def test_a_plug_in_that_cannot_be_built_is_the_cells_fault(function: FailingFunction, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,6 +11,17 @@ from drivecal.highway.drive.actions import ActionError, Actions, Moving
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
+
+
+def test_a_path_whose_last_point_stands_twice_goes_straight_on() -> None:
+    given = {"s": 0, "speed": 5, "model": "constant"}
+    paths = [[[0, 0], [0, 10]], [[0, 0], [0, 10], [0, 10]]]
+    once, twice = (actions.PathVehicle(TrafficEntry.model_validate(given | {"path": path})) for path in paths)
+    for vehicle in (once, twice):
+        vehicle.advance(3.0)
+    assert twice.front() == pytest.approx(once.front())
+
+
 FAR_AWAY = Moving(0.0, 0.0, 0.0, 2.5)
 
 

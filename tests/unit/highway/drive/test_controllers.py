@@ -179,3 +179,19 @@ def test_programs_get_the_signals_that_they_name(tmp_path: Path, signals: list[s
     assert list(program.step(SIGNALS)) == expected
     with pytest.raises(ProgramError):
         program.step(SIGNALS)  # ends and waits for it
+
+
+def test_a_line_too_many_that_comes_late_is_no_later_command(tmp_path: Path) -> None:
+    late = "import time\ntime.sleep(0.2)\nprint('{\"acceleration\": 9}', flush=True)\nsys.stdin.readline()\n"
+    (tmp_path / "program.py").write_text(PROGRAM + late)
+    section = {"command": [sys.executable, "-S", "program.py"], "output": ["acceleration", "curvature"], "signals": None}
+    program = ProgramController(section, tmp_path, {}, 0.1)
+    program.begin({})
+
+    def drive() -> None:
+        program.step(SIGNALS)
+        connection.wait([program._stdout])
+        program.step(SIGNALS)
+
+    with pytest.raises(ProgramError, match="more than one line"):
+        drive()
