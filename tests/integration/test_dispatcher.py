@@ -9,10 +9,12 @@ from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
 from tests.support.runs import SMALL, dispatcher, everything, finish, request, submit
+from tests.support.values import present
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import installed_bundles
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState, StageName
@@ -107,6 +109,8 @@ def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database
     ended = _get(database, campaign)
     assert ended.state is CampaignState.CANCELLED
     assert ended.cells.simulated >= 50
+    best = present(StoredRanking(database, ended, resolved_spec(ended)).sets.best())[0]
+    assert present(ended.best).objective == best.objective  # of a generation that was not closed
     again = _run(database, submit(database))
     assert again.cells.repeated >= ended.cells.simulated
 

@@ -18,6 +18,7 @@ from tests.support.server import RunningApi
 from tests.support.several import SEARCH, installed
 
 from drivecal.api.app import create_app
+from drivecal.api.tables.influence import NEAR
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.storage.engine.database import Database
@@ -116,6 +117,7 @@ def test_importance_counts_given_up_sets_where_they_were_simulated(
         monkeypatch.setattr(f"drivecal.{module}.LEAST_SETS", whole + 1)
     mean = importance()
     assert mean["scenarios"] == ["city", "road"]
+    assert NEAR in mean["notes"]
     assert mean["sets"] == first
     assert [item["parameter"] for item in mean["items"]] == ["x"]
 

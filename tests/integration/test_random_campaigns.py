@@ -121,7 +121,10 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert ended.best.upper is not None
     assert ended.best.standard_error is not None
     assert ended.best.lower < ended.best.objective < ended.best.upper
-    assert not present(ended.baseline).close
+    baseline = present(ended.baseline)
+    assert not baseline.close
+    shared = [row.score for row in best if row.seed in baseline.seeds]
+    assert baseline.best_objective == pytest.approx(fmean(score for score in shared if score is not None))
     assert {row.seed for row in rows if row.parameters.floats == {"x": 0.1}} >= {13, 14, 15}, "as the best set's report"
     assert not any("tolerance" in note for note in ended.notes), "predictions answer no cell"
     with database.read() as connection:

@@ -557,11 +557,13 @@ class Ranking:
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
         return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
 
-    def beside_best(self, parameter_set: int) -> tuple[EvaluatedSet, EvaluatedSet] | None:
+    def beside_best(self, parameter_set: int, seeds: Collection[int] | None = None) -> tuple[EvaluatedSet, EvaluatedSet] | None:
         """Returns the best set and another one, by its id, under the seeds that both were run under: what a seed does to all sets is no
-        difference. None without a result of both."""
+        difference. None without a result of both. `seeds`: these alone; None if there is none, or one of them chose the best set."""
         best, sides = self.best(), list[EvaluatedSet]()
         shared = set() if best is None else self.seeds(best[0].parameter_set) & self.seeds(parameter_set)
+        if seeds is not None:
+            shared = set(seeds) if shared.issuperset(seeds) and min(seeds, default=0) > self._choosing else set()
         for number in (best[0].parameter_set, parameter_set) if best is not None and shared else ():
             runs = {seed: self._runs[number][seed] for seed in shared}
             ((_, by_seed),) = self._judge.by_seed(self._places, {number: runs})

@@ -335,7 +335,8 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "green", subject="the best set")
     elif campaign.baseline.close:
-        yield verdict("baseline_in_interval", "neutral", gain=gain, under=under)
+        gained = f": a gain of {gain:.4g}{under}" if under else ""
+        yield verdict("baseline_in_interval", "neutral", gained=gained)
     elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
         yield verdict("not_better", "amber")
     elif campaign.objective is None and gain <= campaign.scale.tolerance:

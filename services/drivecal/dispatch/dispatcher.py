@@ -18,6 +18,7 @@ from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign, stages_of
+from drivecal.campaigns.stages.leader import describe_stored
 from drivecal.campaigns.stages.stage import Stage
 from drivecal.cluster import tracing
 from drivecal.configuration import logs
@@ -432,6 +433,8 @@ class Dispatcher:
 
     def _end(self, active: Active, state: CampaignState, error: str | None = None) -> None:
         self._pool.withdraw(active.tag)
+        if state is not CampaignState.SUCCEEDED:
+            self._note_best(active.campaign.sequence)
         with self._database.transaction() as connection:
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
@@ -441,6 +444,17 @@ class Dispatcher:
             begun = round((stored.started_at or stored.created_at).timestamp() * 1e9)
             tracing.record("campaign", context, begun, campaign=stored.id, campaign_name=stored.name, state=state.value)
         self._active.pop(active.campaign.sequence, None)
+
+    def _note_best(self, sequence: int) -> None:
+        """Stores the best set of a search that ends early; whatever is wrong with it, the campaign ends."""
+        with self._database.read() as connection:
+            campaign = campaigns.by_sequence(connection, sequence)
+        try:
+            problem = None if campaign.search is None else problem_of(campaign, stored_bundles(self._database))
+            if isinstance(problem, CalibrationProblem):
+                describe_stored(self._database, campaign, problem)
+        except Exception:
+            log.exception("its best set stays what the last closed round made it")
 
     def _forget_jobs(self) -> None:
         """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""

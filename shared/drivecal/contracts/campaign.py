@@ -180,7 +180,8 @@ class Best(Answer):
 class Baseline(Answer):
     """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares;
     `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell whether the best set is better. `gain`: the best
-    set's improvement on it under the seeds that report both; null without two of them."""
+    set's improvement on it under the seeds that report both; null without two of them. `seeds` of its scores, if there are several;
+    `best_objective` and `best_scores` are the best set's under these seeds, if they report it."""
 
     objective: float | None
     parameters: dict[str, float | str]
@@ -189,6 +190,9 @@ class Baseline(Answer):
     undecided: bool = False
     close: bool = False
     gain: float | None = None
+    seeds: list[int] = []
+    best_objective: float | None = None
+    best_scores: dict[str, Score | None] = {}
 
 
 class Confirmation(Answer):

@@ -243,13 +243,17 @@ def test_a_budget_keeps_runs_for_the_choice() -> None:
 
 def test_sets_are_compared_under_the_seeds_that_both_have() -> None:
     ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification())
-    for number, seeds in ((1, 12), (2, 20)):
+    for number, seeds in ((1, 14), (2, 20)):
         values = [number + 0.01 * seed + (50.0 if seed > 12 else 0.0) for seed in range(1, seeds + 1)]
         ranking.add(CellScore(number, "S1", each, each, True, 0, number, seed=seed) for seed, each in enumerate(values, 1))
     assert present(ranking.best())[0].objective > 50, "reported by its last seeds"
     best, other = present(ranking.beside_best(1))
     assert best.parameter_set == 2
     assert best.objective - other.objective == pytest.approx(1.0)
+    best, other = present(ranking.beside_best(1, [13, 14]))
+    assert (best.seeds, other.seeds) == ((13, 14), (13, 14))
+    assert best.objective - other.objective == pytest.approx(1.0)
+    assert [ranking.beside_best(1, seeds) for seeds in ([], [12, 13], [14, 15])] == [None] * 3
 
 
 def test_intervals_of_quantiles_are_exact() -> None:

@@ -86,6 +86,10 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
     return True, lower, upper
 
 
+NEAR = (
+    "these are the sets that the search asked for, mostly near its good ones: a parameter that explains little of them may decide"
+    " elsewhere, whatever its interval; a sensitivity analysis or a random search tells"
+)
 METHOD = f"permutation: half the loss of R² on a held-out {100 * HELD_OUT:.0f} %, by {TREES} extremely randomised trees"
 
 
@@ -148,10 +152,12 @@ def _notes(
     items: Sequence[ParameterImportance],
     r2: float,
 ) -> list[str]:
-    """Returns sentences about a weak fit, and about parameters on which importance and influence map disagree."""
+    """Returns sentences about a weak fit, about sets that a search gathered, and about parameters on which importance and influence map disagree."""
     notes = []
     if r2 < WEAK:
         notes.append(f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little")
+    if (campaign.spec.get("optimizer") or {}).get("kind") != "random":
+        notes.append(NEAR)
     if campaign.influence_map_id is None:
         return notes
     with database.read() as connection:

@@ -1,16 +1,31 @@
 """The best set of a search and its baseline, as they are stored, with their events."""
 
+from dataclasses import replace
+
 from sqlalchemy import Connection
 
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
+from drivecal.campaigns.resolve.resolved_spec import resolved_spec
+from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Baseline, Best
 from drivecal.domain.events import EventKind
 from drivecal.domain.rounding import same
-from drivecal.storage import events
+from drivecal.storage import campaigns, events
 from drivecal.storage.campaigns import StoredCampaign
+from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
+
+
+def describe_stored(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
+    """Stores the best set of all answers of a search that ends early: rounds under way are not closed."""
+    leader = Leader(campaign, problem, StoredRanking(database, campaign, resolved_spec(campaign)).sets)
+    with database.transaction() as connection:
+        leader.describe(connection)
+        search = None if campaign.search is None else campaign.search.model_copy(update={"surest": leader.surest})
+        described = replace(campaign, best=leader.best, baseline=leader.baseline, search=search)
+        campaigns.save_progress(connection, described, {})
 
 
 class Leader:
@@ -68,6 +83,7 @@ class Leader:
         (number,) = parameter_sets.ensure(connection, [baseline])
         solution = self._ranking.get(number)
         gain, is_close = self._ranking.gain_over(number, random=self._problem.bench.is_random)
+        beside = None if solution is None else self._ranking.beside_best(number, solution.seeds)
         self.baseline = Baseline(
             objective=None if solution is None else solution.objective,
             parameters=baseline.floats,
@@ -76,6 +92,9 @@ class Leader:
             undecided=solution is not None and solution.is_undecided,
             close=is_close,
             gain=gain,
+            seeds=[] if solution is None else list(solution.seeds),
+            best_objective=None if beside is None else beside[0].objective,
+            best_scores={} if beside is None else dict(beside[0].scores),
         )
 
     def notes(self) -> list[str]:

@@ -97,7 +97,7 @@ def print_campaign(campaign: Campaign) -> None:
         ended = CampaignState(campaign.state).ended
         missing = "no objective: a scenario did not run, has no result, or lacks a measure" if ended else "no result yet"
         parameters = parameters_text(campaign.baseline.parameters, None, hidden)
-        lines.append(("baseline", f"{judged_text(campaign.baseline, missing)}  {parameters}"))
+        lines.append(("baseline", f"{judged_text(campaign.baseline, missing)}{_beside_text(campaign)}  {parameters}"))
     if campaign.best:
         best = campaign.best
         lines.append(("best", f"{judged_text(best)}  {parameters_text(best.parameters, None, hidden)}"))
@@ -125,6 +125,16 @@ def print_campaign(campaign: Campaign) -> None:
     width = max(len(name) for name, _ in lines)
     for name, text in lines:
         typer.echo(f"{name.ljust(width)}  {text}")
+
+
+def _beside_text(campaign: Campaign) -> str:
+    """Returns the seeds of the baseline's objective, if they are not those of the best set's, and that set's objective under them."""
+    baseline, best = campaign.baseline, campaign.best
+    if baseline is None or baseline.objective is None or best is None or best.replicates < 2:
+        return ""
+    if baseline.best_objective is None:
+        return " under other seeds than the best set's"
+    return f" under {len(baseline.seeds)} seeds, where the best set has {objective_text(baseline.best_objective)}"
 
 
 def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:

@@ -3,6 +3,7 @@
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
 import { cell, type Table } from "./columns";
+import { number } from "../text/format";
 import { knownOf } from "../text/words";
 import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
 
@@ -20,6 +21,8 @@ export interface SetSide {
   known?: string;
   /** How each scenario was answered. */
   answers?: Readonly<Record<string, string>> | undefined;
+  /** Scores of the set that it is compared with, under the seeds of its own. */
+  beside?: Readonly<Record<string, number | null>>;
   /** Seeds of the runs that make its scores, if there are several. */
   seeds?: readonly number[];
   /** The number of its evaluation in a scenario; null if there is none. */
@@ -63,9 +66,11 @@ async function baselineCell(campaign: string, parameters: Values, scenario: stri
   return isSame(parameters, given) ? cell : null;
 }
 
-/** The baseline of a campaign, if it has one, as a set that a view compares. */
-export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">): SetSide | null {
-  return baseline && { ...baseline, title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
+/** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one. */
+export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">, ofBest: boolean): SetSide | null {
+  if (!baseline) return null;
+  const known = ofBest && typeof baseline.best_objective === "number" ? `by seeds ${baseline.seeds.join(", ")}; the best set has ${number(baseline.best_objective, 4)} under them` : "";
+  return { ...baseline, ...(known && { known, beside: baseline.best_scores }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
 }
 
 /** A set of a front or a ranking as a view compares it. */
