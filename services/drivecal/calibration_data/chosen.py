@@ -18,7 +18,8 @@ def characteristics_of(
     the `labels` keep their names."""
     return [
         Characteristic(
-            labels.get(each.name, each.name), values[each.name], each.unit, each.description,
+            labels.get(each.name, each.name), int(values[each.name]) if each.kind == "integer" else values[each.name],
+            each.unit, each.description,
             None if each.choices else each.lower, None if each.choices else each.upper,
             integer=each.kind == "integer", choices=tuple(each.choices),
         )
@@ -98,7 +99,7 @@ def figures_of(
         ends = {"standard error": chosen.standard_error, "lower end": chosen.lower, "upper end": chosen.upper}
         yield from ((f"{name} of the objective", _number(amount)) for name, amount in ends.items() if amount is not None)
     yield "score", score or known.campaign.scale.name
-    if weights is None and not known.campaign.spec.get("objectives") and not known.variants:
+    if weights is None and not known.variants:
         weights = {each.scenario: each.weight for each in known.setup.scenarios}
     if weights is not None:
         yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())

@@ -152,7 +152,8 @@ def _notes(
     items: Sequence[ParameterImportance],
     r2: float,
 ) -> list[str]:
-    """Returns sentences about a weak fit, about sets that a search gathered, and about parameters on which importance and influence map disagree."""
+    """Returns sentences about a weak fit, about the sets of a search, and about parameters on which importance and influence map
+    disagree."""
     notes = []
     if r2 < WEAK:
         notes.append(f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little")

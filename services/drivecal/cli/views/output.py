@@ -103,11 +103,7 @@ def print_campaign(campaign: Campaign) -> None:
         lines.append(("best", f"{judged_text(best)}  {parameters_text(best.parameters, None, hidden)}"))
         lines.append(("scores", "  ".join(f"{name} {score_text(score)}" for name, score in best.scores.items())))
         weights = campaign.spec.get("weights") or {}
-        if (
-            not campaign.spec.get("objectives")
-            and not campaign.spec.get("variants")
-            and {weights.get(name, 1.0) for name in best.scores} != {1.0}
-        ):
+        if not campaign.spec.get("variants") and {weights.get(name, 1.0) for name in best.scores} != {1.0}:
             lines.append(("weights", "  ".join(f"{name} {weights.get(name, 1.0):g}" for name in best.scores)))
         share = "1 parameter set has" if best.alternatives == 1 else f"{best.alternatives:,} parameter sets share"
         lines.append(("alternatives", f"{share} the best objective"))

@@ -3,26 +3,27 @@
 import { grouped } from "../grouped";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
-import type { Campaign, Generation } from "../server/types";
+import type { Campaign, CampaignSetup, Generation } from "../server/types";
 
 const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2"];
 
-/** What the best objectives of a campaign are: its first objective, else its score. */
-export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction">;
+/** What the best objectives of a campaign are: its first objective, else its score, by the formula of its `evaluator`. */
+export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction"> & { evaluator?: string | undefined };
+type Scored = Pick<Campaign, "scale"> & { setup?: Pick<CampaignSetup, "evaluator"> | null };
 export type Over = "iteration" | "simulations";
 
-function measureOf({ objective, scale }: Pick<Campaign, "scale" | "objective">): Measure {
+function measureOf({ objective, scale, setup }: Scored & Pick<Campaign, "objective">): Measure {
   const { name, unit, direction } = objective ?? scale;
-  return { name, unit, direction };
+  return { name, unit, direction, evaluator: objective ? undefined : setup?.evaluator };
 }
 
-/** Whether the scores of campaigns, by scenario, are on one scale. */
-export function haveLikeScores(campaigns: readonly Pick<Campaign, "scale">[]): boolean {
-  return new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
+/** Whether the scores of campaigns, by scenario, are on one scale, and of one formula. */
+export function haveLikeScores(campaigns: readonly Scored[]): boolean {
+  return new Set(campaigns.map(({ scale, setup }) => JSON.stringify([scale, setup?.evaluator]))).size < 2;
 }
 
-/** Searches by what their objectives are: other names, units or directions need another axis. */
-export function byMeasure<T extends { of: Pick<Campaign, "scale" | "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
+/** Searches by what their objectives are: other names, units, directions or formulas need another axis. */
+export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
   const groups = grouped(searches, ({ of }) => JSON.stringify(measureOf(of)));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }

@@ -32,6 +32,8 @@ const [scored, cheap, quick] = [campaign(null), campaign({ name: "energy", unit:
 
 test("only like scores are compared", () => {
   expect([haveLikeScores([scored, cheap]), haveLikeScores([scored, { ...scored, scale: { ...scored.scale, direction: "minimise" } }])]).toEqual([true, false]);
+  const pushed = ["first", "second"].map((evaluator) => ({ ...scored, setup: { evaluator } }));
+  expect([haveLikeScores(pushed), byMeasure(pushed.map((of) => ({ of }))).length]).toEqual([false, 2]);
 });
 
 test("searches of unlike objectives share no axis, and keep their order", () => {
