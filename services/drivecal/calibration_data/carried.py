@@ -46,7 +46,10 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
     edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)
-    return edited if origin is None else _ORIGIN[ending].sub(origin[0].replace(b"\\", b"\\\\"), edited)
+    if origin is None:
+        return edited
+    renewed = origin[0].replace(b"\r\n", b"\n").replace(b"\n", b"\r\n" if b"\r\n" in body else b"\n")
+    return _ORIGIN[ending].sub(renewed.replace(b"\\", b"\\\\"), edited)
 
 
 def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str) -> Iterator[_Edit]:

@@ -195,3 +195,9 @@ def test_a_set_of_the_front_has_all_its_objectives() -> None:
     assert (figures["objective discomfort"], figures["objective jerk"], figures["rank on the front"]) == ("3", "0.5", "1")
     assert figures["score follow"] == "2"
     assert exported(Data(), weights={"jerk": 2.0}, table="front")["weights"] == "jerk=2"
+
+
+def test_an_integer_is_written_as_one() -> None:
+    parameter = SearchedParameter(name="n", unit="1", lower=1.0, upper=8.0, n_values=8, fixed=None, kind="integer")
+    [number] = characteristics_of({"n": 3.0}, [parameter], {})
+    assert repr(number.value) == "3"

@@ -94,6 +94,9 @@ def test_another_reader_finds_all_in_a_file(tmp_path_factory: pytest.TempPathFac
         assert module.write(read, QUALITY) == carried(base, form, read) == base.read_bytes()
         later = module.write(read, replace(QUALITY, campaign="e" * 32, figures=(("rank", "2"), ("a \\1", "b"))))
         assert carried(base, form, read, later) == later, "the origin is that of the later set"
+        base.write_bytes(base.read_bytes().replace(b"\r\n", b"\n").replace(b"\n", b"\r\n"))
+        crlf = later.replace(b"\r\n", b"\n").replace(b"\n", b"\r\n")
+        assert carried(base, form, module.read(base.read_bytes(), base.name).characteristics, later) == crlf
     assert in_another_reader(base.with_suffix(".dcm")) == {each.name: expected(each) for each in given}
 
 
