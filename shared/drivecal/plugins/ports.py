@@ -84,7 +84,10 @@ class DrivingFunction(Versioned, Protocol):
 
 
 class VehicleModel(Protocol):
-    """Instance of a vehicle with given parameter values. The sample time of `dynamics` is 0.01 s."""
+    """Instance of a vehicle with given parameter values. The sample time of `dynamics` is 0.01 s.
+
+    One that measures more than its dynamics show has `metrics` as well: a mapping of numbers by names with units, of the run since `start`.
+    """
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:
         """Starts a new run."""
@@ -99,15 +102,6 @@ class VehicleModel(Protocol):
         Writes one row per 0.01 s to `dynamics`, shape (duration / 0.01, 5): speed, longitudinal acceleration, lateral
         acceleration, yaw rate, steering angle. Returns False if the vehicle became unstable (spin, non-finite state).
         """
-
-
-@runtime_checkable
-class SelfMeasuring(Protocol):
-    """Optional protocol of a vehicle model that measures more than its dynamics show."""
-
-    @property
-    def metrics(self) -> Mapping[str, float]:
-        """Metrics of the run since `start`, stored with the run's other metrics; names carry units."""
 
 
 class Vehicle(Versioned, Protocol):

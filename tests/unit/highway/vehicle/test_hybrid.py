@@ -22,7 +22,7 @@ from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackPar
 from drivecal.highway.vehicle.plugin import HYBRID, Hybrid
 from drivecal.highway.vehicle.residual import Residual, shipped
 from drivecal.plugins.arrays import DamagedArraysError
-from drivecal.plugins.ports import Floats, SelfMeasuring
+from drivecal.plugins.ports import Floats
 
 boxes = st.builds(SingleTrackParameters, *(st.floats(parameter.minimum, parameter.maximum) for parameter in TABLE_8))
 inputs = st.tuples(*([st.floats(-1.0, 1.0)] * 6))
@@ -105,8 +105,7 @@ def drive(model: SingleTrackModel, path: Floats) -> tuple[Floats, Floats, bool]:
     return dynamics, model.pose.copy(), all(stable)
 
 
-def outside(model: SingleTrackModel) -> float:
-    assert isinstance(model, SelfMeasuring)
+def outside(model: HybridModel) -> float:
     return model.metrics["outside_training_range_s"]
 
 

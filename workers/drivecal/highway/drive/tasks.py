@@ -164,7 +164,7 @@ class TaskRunner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
         }
-        metrics |= getattr(self._vehicle, "metrics", None) or {}  # `SelfMeasuring`, in some vehicles only after a run
+        metrics |= getattr(self._vehicle, "metrics", None) or {}  # of some vehicles, or after a run alone
         failure, rating = finished.failure, None
         if failure is None and not fulfilled(motion, self._scenario):
             failure = Failure.TASK_MISSED.value
