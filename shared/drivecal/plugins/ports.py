@@ -86,7 +86,7 @@ class DrivingFunction(Versioned, Protocol):
 class VehicleModel(Protocol):
     """Instance of a vehicle with given parameter values. The sample time of `dynamics` is 0.01 s.
 
-    One that measures more than its dynamics show has `metrics` as well: a mapping of numbers by names with units, of the run since `start`.
+    A model may have `metrics` as well: further measures of the run since `start`, by names with units.
     """
 
     def start(self, x: float, y: float, heading: float, speed: float) -> None:

@@ -124,7 +124,7 @@ def print_campaign(campaign: Campaign) -> None:
 
 
 def _beside_text(campaign: Campaign) -> str:
-    """Returns the seeds of the baseline's objective, if they are not those of the best set's, and that set's objective under them."""
+    """Returns how many seeds the baseline's objective is of, if the best set has others, and the best set's objective under them."""
     baseline, best = campaign.baseline, campaign.best
     if baseline is None or baseline.objective is None or best is None or best.replicates < 2:
         return ""
