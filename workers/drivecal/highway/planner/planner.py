@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.bundles.highway import Scenario
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -12,9 +11,7 @@ from drivecal.highway.planner import kernel, plans, terms
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.plans import desired_speeds, lateral_ends
 from drivecal.highway.planner.terms import size_for
-from drivecal.plugins.ports import Observation
-
-Floats = npt.NDArray[np.float64]
+from drivecal.plugins.ports import Floats, Observation
 
 PERIOD = 0.2
 """Time between two plans, s."""

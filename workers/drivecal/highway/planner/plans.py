@@ -18,7 +18,6 @@ from math import atan2, cos, hypot, sin
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.bundles.highway import Task
 from drivecal.highway import geometry
@@ -26,8 +25,7 @@ from drivecal.highway.compilation import compiled_with
 from drivecal.highway.geometry import point
 from drivecal.highway.planner import cost
 from drivecal.highway.planner.cost import LATEST_DECELERATION
-
-Floats = npt.NDArray[np.float64]
+from drivecal.plugins.ports import Floats
 
 CENTRE_HORIZONS = (7.5, 6.5, 5.5, 4.7, 4.0, 3.2, 2.5)
 """Horizons to the centre of the wanted lane, s: from a leisurely lane change (0.4 m/s² at 7.5 s) to a swerve (3.5 m/s²)."""
