@@ -128,7 +128,11 @@ def plan_cells(
                 known |= runs.look_up_exact(connection, setup_id, asked, evaluator, view.watermark)
                 exact |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
             if policy.uses_map and scenario in view.keys and setup_id in stocked:
-                stored = _references(connection, view, scenario, setup_id, list(dict.fromkeys(keys)), before)
+                distinct = list(dict.fromkeys(keys))
+                stored = evaluations.own_answers(connection, view.campaign, scenario, setup_id, distinct, before, by_key=True)
+                stored |= reference_keys.look_up(
+                    connection, view.influence_map_sequence, setup_id, distinct, view.bench.evaluator_id, view.watermark
+                )
                 references |= {(scenario, key): donor for key, donor in stored.items()}
                 place = view.campaign, iteration, scenario, setup_id
                 known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
@@ -151,12 +155,3 @@ def plan_cells(
         for cell in wanted
     ]
     return assign(placed, policy, view.seed, exact, references, elsewhere)
-
-
-def _references(
-    connection: Connection, view: View, scenario: str, setup_id: int, keys: Sequence[bytes], before: int | None
-) -> dict[bytes, Donor]:
-    own = evaluations.own_answers(connection, view.campaign, scenario, setup_id, keys, before, by_key=True)
-    return own | reference_keys.look_up(
-        connection, view.influence_map_sequence, setup_id, keys, view.bench.evaluator_id, view.watermark
-    )

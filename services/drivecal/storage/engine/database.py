@@ -7,7 +7,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -203,7 +203,8 @@ class Database:
         the writes may have been committed all the same (the answer to the commit may be what got lost): read again before writing
         once more.
         """
-        with translated(self.name), self._turn() as deadline, self._engine.connect() as connection:
+        turn = nullcontext(0.0) if self._turns is None else self._turns.take()
+        with translated(self.name), turn as deadline, self._engine.connect() as connection:
             with nullcontext(0.0) if self._turns is None else self._turns.begin(deadline) as left:
                 begun = connection.execution_options(drivecal_writes=True, drivecal_seconds=left).begin()
             with begun:
@@ -235,9 +236,6 @@ class Database:
     def dispose(self) -> None:
         """Closes the pool's connections."""
         self._engine.dispose()
-
-    def _turn(self) -> AbstractContextManager[float]:
-        return nullcontext(0.0) if self._turns is None else self._turns.take()
 
 
 def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:

@@ -95,7 +95,8 @@ def _next(portions: Iterator[list[Row]], source: Connection) -> list[Row]:
 def _portions(connection: Connection, table: Table) -> Iterator[list[Row]]:
     """Reads all rows in the order of their keys, as many at a time as fit into memory."""
     columns = [column.name if connection.dialect.name != "postgresql" else _neutral(column) for column in table.columns]
-    long = [f"coalesce(length({name}), 0)" for name, column in zip(columns, table.columns, strict=True) if _is_long(column)]
+    named = zip(columns, table.columns, strict=True)
+    long = [f"coalesce(length({name}), 0)" for name, column in named if isinstance(column.type, JSON | LargeBinary | String)]
     longest = connection.scalar(text(f"SELECT max({' + '.join(long) or 0}) FROM {table.name}"))  # noqa: S608  # the database's own names
     size = min(max(CHUNK_BYTES // max(longest or 0, 1), 1), CHUNK)
     order = ", ".join(column.name for column in table.primary_key)
@@ -109,10 +110,6 @@ def _portions(connection: Connection, table: Table) -> Iterator[list[Row]]:
     with closing(cursor):
         while rows := cursor.fetchmany(size):
             yield rows
-
-
-def _is_long(column: Column[Any]) -> bool:
-    return isinstance(column.type, JSON | LargeBinary | String)
 
 
 def _neutral(column: Column[Any]) -> str:

@@ -95,7 +95,7 @@ def _sync_chunk(
         first = {} if since == 0 else _first(connection, index, sorted(set(keys)))
         records: list[tuple[Any, ...]] = []
         for key, row in zip(keys, rows, strict=True):
-            place = _place(row)
+            place = tuple(row[1 + len(_COPIED) : -1])  # the origin
             if key not in first or place < first[key]:
                 first[key] = place
                 records.append((index, key, *row[: 1 + len(_COPIED)]))
@@ -124,11 +124,6 @@ def _number(row: Row[Any]) -> int:
     """Returns the first watermark that sees a row of `_rated`."""
     number: int = row.since or row.id
     return number
-
-
-def _place(row: Row[Any]) -> tuple[int, ...]:
-    """The origin of a row of `_rated`."""
-    return tuple(row[1 + len(_COPIED) : -1])
 
 
 def _index(influence_map: int, setup_id: int, evaluator: str) -> Select[int]:
