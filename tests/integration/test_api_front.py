@@ -117,6 +117,7 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         trust = client.results(ended.first).trust
     assert baseline is not None
     assert baseline.objectives["comfort"] == present(own).objective
+    assert present(own).parameters == {f"P{i}": 0.5 for i in range(1, 12)}
     own_light = next(each.light for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"})
     assert (own_light == "amber") is (baseline.rank is not None)
     [first] = [each for each in listed if (each["iteration"], each["individual"]) == (0, 0)]

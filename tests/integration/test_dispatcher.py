@@ -17,7 +17,7 @@ from drivecal.campaigns.resolve.workbench import installed_bundles
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
 from drivecal.storage import campaigns, generations, results
@@ -115,20 +115,6 @@ def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database
     assert again.cells.repeated >= ended.cells.simulated
 
 
-def test_a_single_evaluation_is_simulated_once_and_then_repeated(database: Database) -> None:
-    specification = EvaluationSpecification(
-        parameters={f"P{i}": 0.5 for i in range(1, 12)}, driving_function="frenet", scenario=None
-    )
-
-    def submit() -> StoredCampaign:
-        with database.transaction() as connection:
-            return campaigns.insert(connection, name="one", spec=specification.model_dump(mode="json"), kind="evaluation")
-
-    first, second = _run(database, submit()), _run(database, submit())
-    assert (first.state, first.cells.simulated) == (CampaignState.SUCCEEDED, 6)
-    assert (second.cells.simulated, second.cells.repeated) == (0, 6)
-
-
 def test_a_single_evaluation_without_a_result_in_a_scenario_has_failed(database: Database) -> None:
     def broken(scenario: str, cell: Cell) -> CellResult:
         result = computed(scenario, cell)
@@ -168,16 +154,3 @@ def test_a_queued_problem_has_its_scale_and_takes_new_versions(database: Databas
     assert resolved_spec(begun).setups != resolved_spec(queued).setups
     monkeypatch.setattr(type(registry.driving_function("frenet")), "version", "a third")
     assert "another version" in str(_run(database, begun).error)
-
-
-def test_a_baseline_is_evaluated_first_and_shown(database: Database) -> None:
-    middle = {f"P{i}": 0.5 for i in range(1, 12)}
-    campaign = submit(database, baseline=middle)
-    ended = _run(database, campaign)
-    assert ended.baseline is not None
-    assert ended.baseline.parameters == middle
-    assert ended.baseline.objective is not None
-    with database.read() as connection:
-        first = next(iter(results.stream(connection, campaign.sequence)))
-    assert first.stage is StageName.CALIBRATION
-    assert (first.iteration, first.individual, first.parameters.floats) == (0, 0, middle)
