@@ -8,10 +8,9 @@ what else the machine does disturbs the ratios least. CPU time.
 
 import json
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from time import thread_time
+from unittest import mock
 
 import libsumo
 import numpy as np
@@ -67,17 +66,6 @@ def alone(runner: TaskRunner) -> float:
     return thread_time() - begin
 
 
-@contextmanager
-def replaced(owner: object, name: str, by: object) -> Iterator[None]:
-    """An object's attribute is another one meanwhile."""
-    own = getattr(owner, name)
-    setattr(owner, name, by)
-    try:
-        yield
-    finally:
-        setattr(owner, name, own)
-
-
 def main() -> int:
     """Prints the table, writes the figures; 1 where an evaluation costs more than `AT_MOST` times SUMO alone."""
     sets = latin_hypercube(SETS, seed=1)
@@ -89,7 +77,7 @@ def main() -> int:
         own = np.zeros((ROUNDS, len(full)))
         unchanging, bare = [], []
         for turn in range(ROUNDS):
-            with replaced(sumo_calls, "forbid_lane_changes", lambda: None):
+            with mock.patch.object(sumo_calls, "forbid_lane_changes", return_value=None):
                 bare.append(alone(runner_of(scenario)))
             unchanging.append(alone(runner))
             for column, parameters in enumerate(full):

@@ -154,7 +154,8 @@ def test_the_start_page_says_what_happened_since_the_last_visit(shown: Shown, op
             going | {"id": "d", "name": "rests", "state": "paused"},
             second | {"id": "e", "name": "strict", "best": better | {"violation": 0.25}},
         ]
-        return page | {"items": [*odd, second | {"best": better}, first | {"ended_at": iso(now - 200_000)}]}
+        long_ago = datetime.fromtimestamp(now - 200_000, UTC).isoformat()
+        return page | {"items": [*odd, second | {"best": better}, first | {"ended_at": long_ago}]}
 
     page = opening(f"{shown.api.url}/#/nowhere", expected=("404", "409"))
     page.evaluate("localStorage.removeItem('visit')")
@@ -225,10 +226,6 @@ def test_the_workers_show_what_they_did_and_what_waits_for_what(shown: Shown, op
     page.wait_for_url(re.compile("minutes=60"))
     expect(workers.get_by_role("row", name="worker-9")).to_contain_text(re.compile("60 min, 100 %"))
     page.unroute_all(behavior="ignoreErrors")
-
-
-def iso(moment: float) -> str:
-    return datetime.fromtimestamp(moment, UTC).isoformat()
 
 
 def test_older_campaigns_stay_listed_and_follow_the_filter(shown: Shown, opening: Opening) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, Route, expect
+from playwright.sync_api import Route, expect
 from tests.browser.conftest import Opening
 from tests.support.computed import ComputedBackend
 from tests.support.problems import store, submit_checked
@@ -84,14 +84,10 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shown]:
         yield Shown(api, ended[0], ended[1], submit_checked(api.database, SPEC | {"name": "waits"}).id)
 
 
-def in_view(page: Page) -> Any:
-    return page.get_by_role("slider", name=re.compile("^Set in view"))
-
-
 def test_two_sets_are_chosen_by_keys_and_compared_by_their_objectives(shown: Shown, opening: Opening) -> None:
     rows = shown.front(shown.two)
     page = opening(shown.at(shown.two))
-    place = in_view(page)
+    place = page.get_by_role("slider", name=re.compile("^Set in view"))
     place.press("Home")
     expect(place).to_have_attribute("aria-valuetext", re.compile("^set 1, best heave, heave .* mm, energy .* W$"))
     place.press("Enter")

@@ -395,12 +395,6 @@ def touched(browser: Browser) -> Iterator[Page]:
     context.close()
 
 
-def on_screen(place: Locator) -> bool:
-    """Returns whether a part of the page lies within the screen's width."""
-    box = present(place.bounding_box())
-    return box["x"] >= 0 and box["x"] + box["width"] <= PHONE["width"]
-
-
 def middle(place: Locator) -> tuple[float, float]:
     box = present(place.bounding_box())
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
@@ -447,7 +441,8 @@ def test_the_start_of_a_form_is_always_in_sight_and_hides_nothing(shown: Shown, 
     for place in (0, 1500, 1_000_000):
         page.evaluate("y => scrollTo(0, y)", place)
         expect(start).to_be_in_viewport(ratio=1)
-        assert on_screen(start)
+        box = present(start.bounding_box())
+        assert 0 <= box["x"] <= PHONE["width"] - box["width"], "within the screen's width"
     card, under = page.get_by_role("heading", name="Maximum cost").locator("xpath=ancestor::section[1]"), bar.bounding_box()
     above = present(card.bounding_box())
     assert above["y"] + above["height"] <= present(under)["y"]

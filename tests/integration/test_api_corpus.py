@@ -95,11 +95,6 @@ def chunks(megabytes: int | None) -> Iterator[bytes]:
         sent += 1
 
 
-def fill(field: str) -> bytes:
-    """A document with a megabyte of text in one field."""
-    return compact({field: LONG})
-
-
 @pytest.mark.slow
 def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) -> None:
     usual_work(api)
@@ -111,7 +106,7 @@ def test_nothing_hostile_is_accepted_and_nothing_of_it_is_kept(api: ApiProcess) 
             assert document["status"] in {413, 422}, name
             assert document["errors"], name
         for field in model.model_fields:
-            errors = refused(api.http.post(path, content=fill(field), headers=JSON))["errors"]
+            errors = refused(api.http.post(path, content=compact({field: LONG}), headers=JSON))["errors"]
             assert field in {error["field"].partition(".")[0] for error in errors}
     for method in ("POST", "GET"):
         for megabytes in (500, None):

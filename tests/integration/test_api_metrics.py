@@ -5,7 +5,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from prometheus_client import Metric, parser
@@ -56,11 +55,6 @@ def value(found: dict[str, Metric], name: str, **labels: str) -> float:
     return one.value
 
 
-def beat(api: RunningApi, detail: dict[str, Any]) -> None:
-    with api.database.transaction() as connection:
-        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), detail)
-
-
 def busy(api: RunningApi) -> Measures:
     """A dispatcher that has done something."""
     measures = Measures()
@@ -72,7 +66,8 @@ def busy(api: RunningApi) -> Measures:
     workers = [{"id": f"worker-{n}", "node": "here", "state": state, "cells": 0} for n, state in enumerate(states)]
     use = {"name": "carmaker", "total": 4, "held": 3, "settling": 1}
     detail = {"workers": workers, "resources": [use], "degraded": "one worker is missing", "measures": measures.snapshot()}
-    beat(api, detail)
+    with api.database.transaction() as connection:
+        processes.heartbeat(connection, processes.DISPATCHER, 1, now(), detail)
     return measures
 
 

@@ -56,11 +56,6 @@ TYPED = [
 ]
 
 
-def lines_of(text: str) -> list[str]:
-    """The commands of a block, continued lines joined."""
-    return [line for line in text.replace("\\\n", " ").splitlines() if not line.startswith("drivecal serve")]
-
-
 def cut(text: str) -> str:
     """A file with a fifth of a large budget: the commands do the same on a shorter campaign."""
     return re.sub(r"(?<=simulations: )[2-9]\d\d\b", lambda match: str(int(match[0]) // 5), text)
@@ -83,8 +78,9 @@ class Reader:
                 (self.folder / block.title).parent.mkdir(exist_ok=True)
                 (self.folder / block.title).write_text(cut(block.text))
             elif block.language == "sh" and not titles and not is_elsewhere(block):
-                for line in lines_of(block.text):
-                    self.type(line)
+                for line in block.text.replace("\\\n", " ").splitlines():  # continued lines are one
+                    if not line.startswith("drivecal serve"):
+                        self.type(line)
 
     def type(self, line: str) -> None:
         """Types a command. ID, CELL and TAG belong to the chosen campaign, or to the newest."""

@@ -60,8 +60,9 @@ def test_a_map_says_what_it_rests_on_and_gives_the_same_rows(api: RunningApi, an
 
 
 def test_tables_of_maps_and_campaigns_hold_the_same(api: RunningApi, analysed: dict[str, Any]) -> None:
-    items = api.http.get(f"/api/v1/campaigns/{analysed['id']}/influence").json()["items"]
-    for url in (f"/api/v1/campaigns/{analysed['id']}/influence", campaign_map(api, analysed)):
+    campaign = f"/api/v1/campaigns/{analysed['id']}"
+    items = api.http.get(f"{campaign}/influence").json()["items"]
+    for url in (f"{campaign}/influence", api.http.get(campaign).json()["links"]["influence_map"]):
         table = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
         assert table.to_pylist() == items
         response = api.http.get(url, headers={"Accept": "text/csv"})
@@ -70,11 +71,6 @@ def test_tables_of_maps_and_campaigns_hold_the_same(api: RunningApi, analysed: d
         assert list(lines[0]) == list(InfluenceRow.model_fields)
         assert json.loads(lines[0]["s_rel_intervals"]) == items[0]["s_rel_intervals"]
         assert (lines[0]["unknown"], lines[-1]["unknown"], lines[1]["lower"]) == ("false", "true", "")
-
-
-def campaign_map(api: RunningApi, campaign: dict[str, Any]) -> str:
-    url: str = api.http.get(f"/api/v1/campaigns/{campaign['id']}").json()["links"]["influence_map"]
-    return url
 
 
 def test_a_map_is_shown_within_the_narrower_bounds_of_a_campaign(api: RunningApi) -> None:

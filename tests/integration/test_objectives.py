@@ -56,13 +56,9 @@ def ranking_of(database: Database, campaign: StoredCampaign) -> Ranking:
     return StoredRanking(database, campaign, resolved_spec(get(database, campaign)), watermark=0).sets
 
 
-def vectors(database: Database, campaign: StoredCampaign) -> list[tuple[float, ...]]:
-    return [each.solution.judgement.amounts for each in ranking_of(database, campaign).front()]
-
-
 def test_a_score_and_a_measure_are_searched_together(database: Database) -> None:
     ended = run(database, submit(database, objectives=TWO, optimizer=SEARCH, reduction={"mode": "exact"}), backend())
-    front = vectors(database, ended)
+    front = [each.solution.judgement.amounts for each in ranking_of(database, ended).front()]
     assert len(front) > 2
     assert front == sorted(front, key=lambda each: -each[0])
     assert [each[1] for each in front] == sorted((each[1] for each in front), reverse=True)

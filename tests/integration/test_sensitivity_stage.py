@@ -9,7 +9,6 @@ from tests.support.values import present
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.domain.influence import InfluenceMap
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -20,17 +19,13 @@ def _run(database: Database, **changes: Any) -> StoredCampaign:
     return run(database, submit(database, **WITH_ANALYSIS | changes), ComputedBackend(answer=influenced))
 
 
-def _map(database: Database, campaign: StoredCampaign) -> InfluenceMap:
-    with database.read() as connection:
-        return map_from_document(influence_maps.get(connection, campaign.influence_map_id or "none").scenarios)
-
-
 def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(database: Database) -> None:
     ended = _run(database)
     assert ended.state is CampaignState.SUCCEEDED
     counts = ended.counts(StageName.SENSITIVITY)
     assert counts.proposed == counts.requested == counts.repeated + counts.simulated + counts.failed
-    result = _map(database, ended)
+    with database.read() as connection:
+        result = map_from_document(influence_maps.get(connection, present(ended.influence_map_id)).scenarios)
     assert result.influence("S1", "P1").influential
     assert not result.influence("S1", "P3").influential
     assert not result.influence("S1", "P4").influential

@@ -31,10 +31,6 @@ FAILING: list[Breakdown] = []
 """The breakdown that traces of P9 = 8 meet at present."""
 
 
-def document(result: CellResult) -> dict[str, Any]:
-    return {"measures": dict(result.metrics), "failure": result.failure, "series": SERIES}
-
-
 def traced(scenario: str, cell: Cell) -> CellResult:
     """Returns what a worker gives: time series where they are wanted; for P9 = 7 nothing."""
     result = computed(scenario, cell)
@@ -42,7 +38,8 @@ def traced(scenario: str, cell: Cell) -> CellResult:
         return CellResult(cell.id, None, None, {}, None, 7.0, FAILING[0], "it took too long")
     if cell.parameters["P9"] == 7:
         return CellResult(cell.id, None, None, {}, None, 7.0, "error", "the driving function gave up")
-    return replace(result, trace=gzip.compress(json.dumps(document(result)).encode(), mtime=0)) if cell.trace else result
+    document = {"measures": dict(result.metrics), "failure": result.failure, "series": SERIES}
+    return replace(result, trace=gzip.compress(json.dumps(document).encode(), mtime=0)) if cell.trace else result
 
 
 @pytest.fixture

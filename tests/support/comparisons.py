@@ -45,16 +45,11 @@ def read_comparison(database: Database, tag: str) -> Comparison:
         return compared(connection, tag)
 
 
-def have_ended(database: Database, tag: str) -> bool:
-    """Returns whether all campaigns of a comparison have ended."""
-    return all(campaign.state.ended for campaign in runs_of(database, tag))
-
-
 def finish_comparison(
     database: Database, tag: str, backend: ComputedBackend | None = None, working: Dispatcher | None = None
 ) -> Comparison:
     """Works until all campaigns of a comparison have ended, successfully or not."""
     working = working or dispatcher(database, backend or ComputedBackend())
-    while not have_ended(database, tag):
+    while not all(campaign.state.ended for campaign in runs_of(database, tag)):
         working.step()
     return read_comparison(database, tag)

@@ -162,10 +162,6 @@ def test_a_heartbeat_changes_no_campaign_that_ends_while_it_waits(
     assert (ended.degraded, ended.waiting, last.kind) == (None, None, "succeeded")
 
 
-def delete_whole(database: Database, campaign: StoredCampaign) -> None:
-    deletion.remove_cells(database, delete(database, campaign))
-
-
 def request_trace(database: Database, evaluation: int) -> None:
     read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
 
@@ -182,7 +178,7 @@ def test_a_trace_of_a_removed_cell_is_refused(postgres: Database, first: StoredC
             settle(postgres, requested[0])
 
     event.listen(postgres._engine, "before_cursor_execute", request)
-    delete_whole(postgres, first)
+    deletion.remove_cells(postgres, delete(postgres, first))
     with pytest.raises(NotFoundError):
         requested[0].result(PATIENCE)
     with postgres.read() as connection:

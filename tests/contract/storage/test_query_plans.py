@@ -30,7 +30,6 @@ from drivecal.storage.engine.types import now
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.maintenance import deletion
 from drivecal.storage.references import parameter_sets, reference_keys, runs
-from drivecal.storage.references.candidates import Integers
 
 pytestmark = pytest.mark.slow
 
@@ -91,12 +90,8 @@ def fill(database: Database) -> None:
                 connection,
                 [AnsweredCell(n, Outcome.SIMULATED, 5, 5.25, run.id) for n, run in zip(ids, stored, strict=True) if n % 100],
             )
-    reference_keys.sync(database, 1, setup, EVALUATOR, 10**9, key_of)
+    reference_keys.sync(database, 1, setup, EVALUATOR, 10**9, lambda _, values: [KEYS[int(row[0]) // 10**7] for row in values])
     gather_statistics(database)
-
-
-def key_of(_: tuple[str, ...], values: Integers) -> list[bytes]:
-    return [KEYS[int(row[0]) // 10_000_000] for row in values]
 
 
 def gather_statistics(database: Database) -> None:

@@ -16,10 +16,6 @@ from drivecal.storage.results import StoredEvaluation
 CALIBRATION = StageName.CALIBRATION
 
 
-def place(one: StoredEvaluation) -> tuple[int, int, str]:
-    return one.iteration, one.individual, one.scenario
-
-
 def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> None:
     with database.transaction() as connection:
         sequence, setup, (one,) = begun(connection, 1)
@@ -36,7 +32,7 @@ def test_pages_and_stream_give_every_row_once_in_order(database: Database) -> No
             if cursor is None:
                 break
         assert list(results.stream(connection, sequence)) == result
-    assert [place(item) for item in result] == sorted(places)
+    assert [(item.iteration, item.individual, item.scenario) for item in result] == sorted(places)
     assert result[0].parameters.floats == {"P1": 0.0, "P2": 5.0}
     assert {type(value) for value in result[0].parameters.floats.values()} == {float}
 

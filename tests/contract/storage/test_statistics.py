@@ -1,5 +1,4 @@
 from collections import Counter
-from typing import Any
 
 from sqlalchemy import Connection, update
 from tests.support.storage import begun, campaign, cell
@@ -19,10 +18,6 @@ def look(database: Database) -> Statistics:
         return statistics.read(connection)
 
 
-def change(connection: Connection, sequence: int, **values: Any) -> None:
-    connection.execute(update(table).where(table.c.sequence == sequence).values(values))
-
-
 def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> None:
     counted = {StageName(stage): CellCounts(**each) for stage, each in cells.items()}
     campaigns.save_counts(connection, sequence, counted)
@@ -31,7 +26,7 @@ def count(connection: Connection, sequence: int, **cells: dict[str, int]) -> Non
 def ended(connection: Connection, sequence: int, simulated: int) -> None:
     cells = {"simulated": simulated, "requested": simulated, "pending": 7}
     count(connection, sequence, calibration=cells)
-    change(connection, sequence, simulating_seconds=0.5 * simulated)
+    connection.execute(update(table).where(table.c.sequence == sequence).values(simulating_seconds=0.5 * simulated))
     campaigns.end(connection, sequence, CampaignState.SUCCEEDED)
 
 

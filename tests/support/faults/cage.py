@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 PR_SET_CHILD_SUBREAPER = 36
@@ -56,15 +57,9 @@ def main(command: list[str]) -> int:
                 watched = False
         if not watched:
             for descendant in descendants(os.getpid()):
-                _kill(descendant)
+                with suppress(ProcessLookupError):
+                    os.kill(descendant, signal.SIGKILL)
             time.sleep(0.01)
-
-
-def _kill(process: int) -> None:
-    try:
-        os.kill(process, signal.SIGKILL)
-    except ProcessLookupError:
-        return
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ from fastapi.testclient import TestClient
 from httpx import Response
 from tests.support.databases import migrated
 from tests.support.networks import entrance
+from tests.support.values import present
 from tests.support.zips import zipped
 
 from drivecal.api.app import create_app
@@ -79,13 +80,6 @@ def bearer(name: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {TOKENS[name]}"}
 
 
-def signed(tmp_path: Path, archive: bytes) -> dict[str, str]:
-    """The header of the server's own user."""
-    secret = read_secret(tmp_path / "home")
-    assert secret is not None
-    return {HEADER: sign(secret, archive)}
-
-
 @pytest.mark.slow("::1", "192.168.1.5")
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0", "192.168.1.5"])
 @pytest.mark.parametrize("allow", [None, True, False])
@@ -115,7 +109,7 @@ def test_without_a_token_or_with_a_session_nothing_is_pushed(serve: Serve) -> No
 def test_without_tokens_the_secret_of_the_home_folder_is_needed(serve: Serve, tmp_path: Path, allow: bool | None) -> None:
     client, archive = serve(allow_push=allow), packed()
     assert (tmp_path / "home" / "push.secret").stat().st_mode & 0o777 == 0o600
-    right = signed(tmp_path, archive)[HEADER]
+    right = sign(present(read_secret(tmp_path / "home")), archive)
     assert push(client, archive).status_code == 403
     for wrong in ("", "x", right[:-1] + ("0" if right[-1] != "0" else "1"), sign(b"s" * 43, archive), sign(b"", archive)):
         assert push(client, archive, {HEADER: wrong}).status_code == 403

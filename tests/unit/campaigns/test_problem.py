@@ -38,16 +38,13 @@ def test_a_search_without_a_limit_of_simulations_can_run() -> None:
 
 
 def test_weights_and_bounds_are_not_in_the_fingerprint_but_the_vehicle_is() -> None:
-    plain = _resolve().bench.setups["S1"].fingerprint
+    bench = _resolve().bench
+    plain = bench.setups["S1"].fingerprint
     narrow = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.5}]
     held = {name: value for name, value in MIDDLE.items() if name != "P1"}
     assert _resolve(parameters=narrow, fixed=held, weights={"S1": 3}, sensitivity=None).bench.setups["S1"].fingerprint == plain
-    heavy = {"model": "single_track", "parameters": {_vehicle_parameter(): 2100.0}}
+    heavy = {"model": "single_track", "parameters": {next(iter(bench.values)): 2100.0}}
     assert _resolve(vehicle=heavy).bench.setups["S1"].fingerprint != plain
-
-
-def _vehicle_parameter() -> str:
-    return next(iter(_resolve().bench.values))
 
 
 def test_a_weight_of_zero_leaves_the_scenario_out_and_says_so() -> None:

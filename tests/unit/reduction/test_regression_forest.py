@@ -13,12 +13,6 @@ SETS = np.random.default_rng(3).random((600, 4))
 COSTS: Floats = 10.0 + 40.0 * np.abs(SETS[:, 0] - 0.4) + 20.0 * SETS[:, 1] ** 2
 
 
-def learned() -> RegressionForest:
-    forest = RegressionForest(COST.tolerance)
-    forest.fit(SETS[:400], COSTS[:400], COSTS[:400])
-    return forest
-
-
 def test_the_scale_chooses_the_predictor() -> None:
     assert isinstance(predictor_on(COMFORT, 0.0)(), Forest)
     assert isinstance(predictor_on(COST, 2.0)(), RegressionForest)
@@ -26,7 +20,9 @@ def test_the_scale_chooses_the_predictor() -> None:
 
 
 def test_it_is_right_more_often_than_the_mean_and_knows_when() -> None:
-    told = learned().predict(SETS[400:])
+    forest = RegressionForest(COST.tolerance)
+    forest.fit(SETS[:400], COSTS[:400], COSTS[:400])
+    told = forest.predict(SETS[400:])
     wrong = np.abs(told.scores - COSTS[400:]) > COST.tolerance
     assert wrong.mean() < (np.abs(COSTS[:400].mean() - COSTS[400:]) > COST.tolerance).mean() / 2
     certain = told.confidence > np.median(told.confidence)

@@ -16,7 +16,7 @@ from drivecal.domain.scales import Scale
 from drivecal.sensitivity.analysis import SensitivityAnalysis
 from drivecal.sensitivity.designs import COLUMNS, Design, Floats, SobolRows, radial_design
 from drivecal.sensitivity.scenario import ScenarioInfluence, tells_nothing
-from drivecal.sensitivity.thresholds import Threshold, automatic, measures, smallest_nonzero
+from drivecal.sensitivity.thresholds import automatic, measures, smallest_nonzero
 
 effect_lists = st.lists(st.floats(-100, 100), min_size=2, max_size=30).map(np.array)
 factors = st.floats(0.01, 100)
@@ -78,14 +78,9 @@ def test_the_smallest_sensitivity_that_is_not_zero_is_found() -> None:
 SPACE = space_of(101, 101, 101)
 
 
-def settings(threshold: Threshold, *, sequential: bool = True) -> SensitivitySpecification:
-    return SensitivitySpecification(
-        design="lines", intervals=10, samples=20, threshold=threshold, seed=3, sequential=sequential
-    )
-
-
-def analysed(score: Score, threshold: Threshold, scale: Scale, *, sequential: bool = True) -> ScenarioInfluence:
-    analysis = SensitivityAnalysis(SPACE, ["S1"], settings(threshold, sequential=sequential), scale)
+def analysed(score: Score, scale: Scale) -> ScenarioInfluence:
+    settings = SensitivitySpecification(design="lines", intervals=10, samples=20, threshold="auto", seed=3)
+    analysis = SensitivityAnalysis(SPACE, ["S1"], settings, scale)
     drive(analysis, {"S1": score})
     return analysis.result()["S1"]
 
@@ -95,11 +90,11 @@ def test_scores_far_beyond_the_comfort_scale_are_analysed() -> None:
         unit = points / (SPACE.n_values - 1)
         return np.asarray(60.0 * np.abs(unit[:, 0] - 0.3) + 0.01 * np.sin(9 * unit[:, 1]))
 
-    auto = analysed(cost, "auto", COST)
+    auto = analysed(cost, COST)
     assert auto.parameters["P1"].influence.influential
     assert not auto.parameters["P2"].influence.influential, "a hundredth is far below the tolerance of 2"
     assert not auto.parameters["P3"].influence.influential
-    exact = analysed(cost, "auto", replace(COST, tolerance=0.0))
+    exact = analysed(cost, replace(COST, tolerance=0.0))
     assert exact.parameters["P2"].influence.influential, "without a tolerance any change is influence"
     assert not exact.parameters["P3"].influence.influential
 

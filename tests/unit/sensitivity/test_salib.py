@@ -1,7 +1,5 @@
 """SALib's radial design and `radial_ee` as an independent implementation, where no step is zero; and what it does where one is."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from SALib.analyze import radial_ee
@@ -40,14 +38,9 @@ def g_function(unit: Floats) -> Floats:
     return np.asarray(Sobol_G.evaluate(unit, A))
 
 
-def analysed_by_salib(unit: Floats, scores: Floats) -> dict[str, Any]:
-    result: dict[str, Any] = radial_ee.analyze(PROBLEM, unit, scores, SAMPLES, seed=1)
-    return result
-
-
 def assert_agreement(design: Design, grid: int) -> None:
     unit = in_their_order(design.points) / (grid - 1)
-    theirs = analysed_by_salib(unit, g_function(unit))
+    theirs = radial_ee.analyze(PROBLEM, unit, g_function(unit), SAMPLES, seed=1)
     ours = [measures(row) for row in design.effects(7 * g_function(design.points / (grid - 1)))]
     for name in ("mu", "mu_star", "sigma"):
         assert [getattr(our, name) for our in ours] == pytest.approx(theirs[name], rel=1e-9, abs=1e-12)
