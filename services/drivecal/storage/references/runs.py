@@ -238,7 +238,8 @@ def _compare(connection: Connection, results: Sequence[NewRun]) -> list[StoredRu
     for run, result, same in zip(stored, results, repeats, strict=True):
         if result.from_series and same and result.failure is None:
             late.setdefault((run.id, result.evaluator), result)
-    standing = _ratings(connection, sorted({run.id for run in stored}))
+    rated = rows_among(connection, select(ratings), ratings.c.run_id, sorted({run.id for run in stored}))
+    standing = {(row.run_id, row.evaluator): (row.score, row.rating) for row in rated}
     missing = {key: result for key, result in late.items() if key not in standing}
     _insert_ratings(connection, missing, numbers(connection, runs.c.id, len(missing)))
     standing |= {key: (result.score, result.rating) for key, result in missing.items()}
@@ -290,11 +291,6 @@ def _stored(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int
         for setup_id, ids in wanted.items()
         for row in rows_among(connection, columns.where(runs.c.setup_id == setup_id), runs.c.parameter_set_id, ids)
     }
-
-
-def _ratings(connection: Connection, run_ids: Sequence[int]) -> dict[tuple[int, str], tuple[float, float]]:
-    rows = rows_among(connection, select(ratings), ratings.c.run_id, run_ids)
-    return {(row.run_id, row.evaluator): (row.score, row.rating) for row in rows}
 
 
 def recent_milliseconds(connection: Connection, fingerprints: Sequence[str]) -> float | None:
