@@ -106,13 +106,10 @@ def test_a_set_is_a_file_for_calibration_tools_in_the_ranking_that_was_asked_for
             client.calibration_file("0" * 32, "dcm")
 
 
-TINY: dict[str, Any] = {"optimizer": {"kind": "random", "population": 6, "iterations": 1, "seed": 1}}
-
-
 def test_a_campaign_is_an_experiment_and_each_ranked_set_a_run_below_it(tmp_path: Path) -> None:
     url = f"sqlite:///{tmp_path / 'drivecal.db'}"
     with serving(url) as api:
-        campaign = run(api.database, submit(api.database, **TINY))
+        campaign = run(api.database, submit(api.database, optimizer={"kind": "random", "population": 6, "iterations": 1}))
         told = command("export", campaign.id, "--to", "mlflow", "-o", str(tmp_path / "mlruns"), "--url", api.url)
         assert told.exit_code == 0, told.output
         again = command("export", campaign.id, "--to", "mlflow", "-o", str(tmp_path / "mlruns"), "--url", api.url)

@@ -11,7 +11,7 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.pool import Leases, WorkPool
-from drivecal.storage import campaigns, results
+from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -92,8 +92,7 @@ def test_a_cancelled_campaign_does_not_wait_for_an_answer(database: Database) ->
     request(database, campaign, "cancel")
     for _ in range(50):
         running.step()
-    with database.read() as connection:
-        assert campaigns.get(connection, campaign.id).state is CampaignState.CANCELLED
+    assert get(database, campaign).state is CampaignState.CANCELLED
 
 
 def test_a_map_holds_for_the_tools_that_it_was_made_with(database: Database) -> None:

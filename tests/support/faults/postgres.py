@@ -11,6 +11,7 @@ from typing import Any
 
 import psutil
 import psycopg
+from tests.support.faults.coordinator import suspended
 from tests.support.postgres import create_database, start
 
 COMMIT_DELAY_MICROSECONDS = 20_000
@@ -47,16 +48,8 @@ class KillablePostgres:
     def frozen(self) -> Iterator[None]:
         """Its processes stand still until the block is left: it accepts connections, closes none, and answers nothing."""
         psutil.Process(self._server.get_pid()).suspend()  # it starts no others from here
-        family = self._family()
-        for process in family[:-1]:
-            with suppress(psutil.NoSuchProcess):
-                process.suspend()
-        try:
+        with suspended(self._family()):
             yield
-        finally:
-            for item in family:
-                with suppress(psutil.NoSuchProcess):
-                    item.resume()
 
     def _family(self) -> list[psutil.Process]:
         postmaster = psutil.Process(self._server.get_pid())
