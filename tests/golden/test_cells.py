@@ -66,10 +66,6 @@ def results() -> dict[str, dict[str, Any]]:
     return outcome
 
 
-def in_a_fresh_process() -> str:
-    return subprocess.run([sys.executable, __file__, "--show"], capture_output=True, text=True, check=True).stdout
-
-
 def test_the_golden_cells_give_what_they_gave() -> None:
     golden = json.loads(FILE.read_text())
     promised = golden["versions"] == versions()
@@ -95,7 +91,8 @@ def test_the_golden_cells_show_good_and_bad_driving() -> None:
 
 @pytest.mark.slow
 def test_a_fresh_process_gives_the_same_bits_as_this_one() -> None:
-    assert in_a_fresh_process() == json.dumps(results())
+    shown = subprocess.run([sys.executable, __file__, "--show"], capture_output=True, text=True, check=True).stdout
+    assert shown == json.dumps(results())
 
 
 if __name__ == "__main__":

@@ -56,12 +56,6 @@ def ask(database: Database, confirm: int, seed: int = 3, population: int = 16) -
     )
 
 
-def told(database: Database, campaign: StoredCampaign, kind: str) -> list[Any]:
-    with database.read() as connection:
-        result = events.since(connection, campaign.sequence, 0, 1_000)
-    return [item.data.get("text", item.data.get("iteration")) for item in result if item.kind == kind]
-
-
 @pytest.fixture(scope="module")
 def confirmed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Database, StoredCampaign, StoredCampaign]]:
     """Two campaigns with the same search: only the first confirms its best set."""
@@ -87,9 +81,10 @@ def test_the_best_set_is_simulated_and_ranked_anew(confirmed: tuple[Database, St
     assert campaign.best.scores == cells
     known = present(campaign.confirmation)
     assert (known.state, known.objective, known.believed) == ("confirmed", campaign.best.objective, plain.best.objective)
-    assert told(database, campaign, "note")[-1] == confirmation_verdict(known).text
     with database.read() as connection:
-        best = [event.data for event in events.since(connection, campaign.sequence, 0, 1_000) if event.kind == "best"]
+        told = events.since(connection, campaign.sequence, 0, 1_000)
+    notes, best = ([event.data for event in told if event.kind == kind] for kind in ("note", "best"))
+    assert notes[-1]["text"] == confirmation_verdict(known).text
     assert plain.best.objective in {item["objective"] for item in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert (plain.notes, plain.confirmation) == ((), None)

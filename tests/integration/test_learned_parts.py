@@ -30,15 +30,13 @@ SCENARIOS = HIGHWAY.scenarios
 CHOICES: dict[str, dict[str, Any]] = {"hybrid.npz": {"vehicle": {"model": "hybrid"}}, "learned.npz": {"evaluator": "learned"}}
 NOMINAL = {parameter.name: parameter.nominal for parameter in HYBRID.parameters}
 
-every_scenario = pytest.mark.parametrize("name", list(SCENARIOS))
-
 
 def run(scenario: Scenario) -> RunOutcome:
     assert isinstance(LEARNED, SeriesEvaluator)
     return TaskRunner(scenario, FRENET, HYBRID.create(NOMINAL), LEARNED).run(CALM)
 
 
-@every_scenario
+@pytest.mark.parametrize("name", list(SCENARIOS))
 def test_both_learned_parts_rate_and_drive_every_scenario(name: str) -> None:
     once, again = run(SCENARIOS[name]), run(SCENARIOS[name])
     assert once == again

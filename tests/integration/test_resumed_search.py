@@ -39,7 +39,7 @@ def _begun(database: Database, iterations: int) -> StoredCampaign:
     return campaign
 
 
-def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], None]) -> None:
+def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
     """Calls `act` whenever the optimizer is created, restored or told something."""
     for name in ("create", "restore"):
         original = getattr(CMA_ES, name)
@@ -83,12 +83,8 @@ def test_a_dispatcher_superseded_during_a_restore_writes_nothing(database: Datab
     campaign = _begun(database, 3)
     before = _rows(database, campaign), get(database, campaign)
     superseded = dispatcher(database)
-
-    def elect_another() -> None:
-        Leadership.begin(database)
-
     with monkeypatch.context() as patched:
-        _while_restoring(patched, elect_another)
+        _while_restoring(patched, lambda: Leadership.begin(database))
         with pytest.raises(SupersededError):
             finish(database, campaign, superseded)
     assert (_rows(database, campaign), get(database, campaign)) == before

@@ -8,16 +8,11 @@ from pathlib import Path
 import pytest
 
 
-def environment(folder: Path, **settings: str) -> dict[str, str]:
-    kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
-    return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder), **settings}
-
-
 def run(folder: Path, *words: str, **settings: str) -> subprocess.CompletedProcess[str]:
+    kept = {name: value for name, value in os.environ.items() if not name.startswith(("DRIVECAL_", "RAY_"))}
+    environment = kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder), **settings}
     command = [sys.executable, "-m", *words]
-    return subprocess.run(
-        command, env=environment(folder, **settings), cwd=folder, capture_output=True, text=True, timeout=1800, check=False
-    )
+    return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=1800, check=False)
 
 
 @pytest.mark.slow

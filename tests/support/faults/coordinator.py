@@ -139,7 +139,9 @@ class Coordinator:
             told, dispatcher = self.heartbeat(), self.dispatcher()
         except (DrivecalError, AssertionError):
             return False
-        return told is not None and told.pid == dispatcher.pid and self._has_worker(told)
+        if told is None or told.pid != dispatcher.pid:
+            return False
+        return any(worker["state"] != "starting" for worker in told.detail.get("workers", ()))
 
     def until(self, condition: Callable[[], bool], what: str, seconds: float) -> str:
         """Waits for `condition` and returns the time that it took, in words. Raises AssertionError after `seconds`, not counting the
@@ -239,10 +241,6 @@ class Coordinator:
                 if all(word in line for word in words) and "drivecal.server.guardian" not in line:
                     return process
         raise AssertionError(f"no {' '.join(words)} runs")
-
-    @staticmethod
-    def _has_worker(told: StoredProcess) -> bool:
-        return any(worker["state"] != "starting" for worker in told.detail.get("workers", ()))
 
 
 @contextmanager
