@@ -305,18 +305,14 @@ class Dispatcher:
 
     @property
     def _is_full(self) -> bool:
-        """True if no further campaign may run at the same time."""
-        return self._busy >= self._running_campaigns or self._begun >= MOST_BEGUN * self._running_campaigns
+        """True if no further campaign may begin to run: single evaluations, and campaigns that wait for other programs, take no place."""
+        busy = sum(each.campaign.kind != "evaluation" and each.awaited is None for each in self._active.values())
+        return busy >= self._running_campaigns or self._begun >= MOST_BEGUN * self._running_campaigns
 
     @property
     def _begun(self) -> int:
         """Number of active campaigns, without single evaluations."""
         return sum(each.campaign.kind != "evaluation" for each in self._active.values())
-
-    @property
-    def _busy(self) -> int:
-        """Number of campaigns that take a place: single evaluations and campaigns that wait for other programs take none."""
-        return sum(each.campaign.kind != "evaluation" and each.awaited is None for each in self._active.values())
 
     def _start(self, campaign: CampaignHeading) -> None:
         with self._database.transaction() as connection:
