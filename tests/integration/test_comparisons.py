@@ -83,9 +83,7 @@ WITHOUT_LOTS = {"mode": "influence", "audit": 0.4, "max_error": 1}
 def test_a_shared_cell_counts_in_the_budget_of_each(database: Database) -> None:
     optimizer = {"kind": "genetic", "population": 10, "iterations": 100, "seed": 1}
     search: dict[str, Any] = {"optimizer": optimizer, "budget": {"simulations": 120}, "reduction": {"isolated": True}}
-    first, second = (run(database, submit(database, **search), ComputedBackend()) for _ in range(2))
-    assert [any("count as simulated" in note for note in each.notes) for each in (first, second)] == [False, True]
-    own, shared = first.cells, second.cells
+    own, shared = (run(database, submit(database, **search), ComputedBackend()).cells for _ in range(2))
     assert (own.requested, own.runs, shared.requested, shared.runs) == (own.requested, own.simulated, own.requested, 0)
 
 

@@ -98,11 +98,16 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
     assert result[0] == result[1]
 
 
-def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database) -> None:
+@pytest.mark.parametrize("paused", [False, True])
+def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database, *, paused: bool) -> None:
     campaign = submit(database)
     working = dispatcher(database, ComputedBackend())
     while _get(database, campaign).cells.simulated < 50:
         working.step()
+    if paused:
+        request(database, campaign, "pause")
+        while _get(database, campaign).state is not CampaignState.PAUSED:
+            working.step()
     request(database, campaign, "cancel")
     while not _get(database, campaign).state.ended:
         working.step()

@@ -48,8 +48,8 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)
     if origin is None:
         return edited
-    renewed = origin[0].replace(b"\r\n", b"\n").replace(b"\n", b"\r\n" if b"\r\n" in body else b"\n")
-    return _ORIGIN[ending].sub(renewed.replace(b"\\", b"\\\\"), edited)
+    lines = origin[0].replace(b"\r\n", b"\n")
+    return _ORIGIN[ending].sub(lambda held: lines.replace(b"\n", b"\r\n") if b"\r\n" in held[0] else lines, edited)
 
 
 def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str) -> Iterator[_Edit]:

@@ -87,7 +87,7 @@ def figures_of(
     Args:
         known: the results of the campaign.
         chosen: the set, of the solutions or of the front.
-        weights: weights that it was chosen by, if they are not the campaign's own, which are given for a weighted score.
+        weights: weights that it was chosen by, if they are not the campaign's own, which are given else.
         score: the score, likewise.
     """
     if isinstance(chosen, FrontRow):
@@ -99,10 +99,12 @@ def figures_of(
         ends = {"standard error": chosen.standard_error, "lower end": chosen.lower, "upper end": chosen.upper}
         yield from ((f"{name} of the objective", _number(amount)) for name, amount in ends.items() if amount is not None)
     yield "score", score or known.campaign.scale.name
+    named = "weights"
     if weights is None and not known.variants:
         weights = {each.scenario: each.weight for each in known.setup.scenarios}
+        named = "weights of scenarios" if isinstance(chosen, FrontRow) else named
     if weights is not None:
-        yield "weights", ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
+        yield named, ",".join(f"{name}={_number(weight)}" for name, weight in weights.items())
     yield from ((f"constraint {number}", text) for number, text in enumerate(known.setup.constraints, 1))
     yield from ((f"constrained {name}", _number(amount)) for name, amount in chosen.constraints.items())
     if chosen.violation > 0 and chosen.undecided:

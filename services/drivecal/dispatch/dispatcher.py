@@ -13,12 +13,14 @@ from datetime import timedelta
 from functools import partial
 from typing import Any
 
+from sqlalchemy import Connection
+
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import problem_of
 from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign, stages_of
-from drivecal.campaigns.stages.leader import describe_stored
+from drivecal.campaigns.stages.leader import best_of_all
 from drivecal.campaigns.stages.stage import Stage
 from drivecal.cluster import tracing
 from drivecal.configuration import logs
@@ -429,9 +431,10 @@ class Dispatcher:
 
     def _end(self, active: Active, state: CampaignState, error: str | None = None) -> None:
         self._pool.withdraw(active.tag)
-        if state is not CampaignState.SUCCEEDED:
-            self._note_best(active.campaign.sequence)
+        note_best = None if state is CampaignState.SUCCEEDED else self._best_of_all(active.campaign.sequence)
         with self._database.transaction() as connection:
+            if note_best is not None:
+                note_best(connection)
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
         if (context := tracing.root(active.campaign.id)) is not None:
@@ -441,16 +444,16 @@ class Dispatcher:
             tracing.record("campaign", context, begun, campaign=stored.id, campaign_name=stored.name, state=state.value)
         self._active.pop(active.campaign.sequence, None)
 
-    def _note_best(self, sequence: int) -> None:
-        """Stores the best set of a search that ends early; whatever is wrong with it, the campaign ends."""
+    def _best_of_all(self, sequence: int) -> Callable[[Connection], None] | None:
+        """Returns what stores the best set of a search that ends early; None if that fails: the campaign ends all the same."""
         with self._database.read() as connection:
             campaign = campaigns.by_sequence(connection, sequence)
         try:
             problem = None if campaign.search is None else problem_of(campaign, stored_bundles(self._database))
-            if isinstance(problem, CalibrationProblem):
-                describe_stored(self._database, campaign, problem)
+            return best_of_all(self._database, campaign, problem) if isinstance(problem, CalibrationProblem) else None
         except Exception:
             log.exception("its best set stays what the last closed round made it")
+            return None
 
     def _forget_jobs(self) -> None:
         """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""

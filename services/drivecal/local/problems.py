@@ -235,15 +235,14 @@ def undeclared(manifest: Manifest, checked: Sequence[CheckedScenario]) -> list[s
     Files of the system, of the installation of Python, and of runs themselves are left out.
     """
     own = (*OF_THE_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix, str(sessions()), str(Path(__file__).parents[3]))
-    covered = [
-        Path(each).resolve() for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))
-    ]
+    covered = [Path(each) for each in (*own, *(each for each in manifest.simulator.inputs or () if isinstance(each, str)))]
+    covered += [path.resolve() for path in covered]
     opened = sorted({Path(path) for result in checked for path in result.opened})
     return [
         f"a run opened {path} outside of the problem's folder: add it to `simulator.inputs` in problem.yaml, or stored runs are reused"
         " after it changed"
         for path in opened
-        if path.is_file() and not any(path.is_relative_to(each) for each in covered)
+        if path.is_file() and not any(form.is_relative_to(each) for each in covered for form in (path, path.resolve()))
     ][:MOST_WARNINGS]
 
 

@@ -241,10 +241,10 @@ class HighwayScenario(Surroundings):
     """The route may lead over crossings without traffic lights; no vehicle gives way there."""
 
 
-def _rising(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
+def _ordered(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
     for (before, _), (place, _) in pairwise(knots):
-        if not before < place:
-            raise ValueError(f"{place:g} does not lie above {before:g}; give the pairs in rising order, each place once")
+        if place < before:
+            raise ValueError(f"{place:g} lies before {before:g}; give the pairs in their order")
     return knots
 
 
@@ -256,9 +256,9 @@ class Task(Model):
     speeds: Annotated[
         list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]],
         Field(min_length=1, max_length=100),
-        AfterValidator(_rising),
+        AfterValidator(_ordered),
     ]
-    """Pairs of arc length (m), rising, and desired speed (m/s): the speed applies beyond that point of the road."""
+    """Pairs of arc length (m), in its order, and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
     """Earliest time (s) at which the vehicle wants the target lane."""
     hold: Annotated[float, Field(gt=0, le=3600)] = 1.0
@@ -304,9 +304,9 @@ class TrafficVehicle(Model):
     drift: Annotated[
         list[Annotated[tuple[Number, Number], Field(strict=False)]],
         Field(max_length=1000, default_factory=list),
-        AfterValidator(_rising),
+        AfterValidator(_ordered),
     ]
-    """Offsets (m, to the left of the lane's centre) by time (s), linear between."""
+    """Pairs of time (s), in its order, and offset (m, to the left of the lane's centre), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""
     speed_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0

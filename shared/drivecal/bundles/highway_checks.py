@@ -182,9 +182,6 @@ def scenario_problems(
             yield Problem(f"{field}.traffic[{index}].id", f"the id {entry.id} is taken", remedy)
         seen |= {entry.id} - {None}
     if isinstance(scenario, TaskScenario):
-        if scenario.task.hold > scenario.duration:
-            message = f"the run takes {scenario.duration:g} s, so that no set fulfils the task"
-            yield Problem(f"{field}.task.hold", message, f"give at most {scenario.duration:g}")
         return
     yield from _behaviours(field, scenario.traffic)
     yield from _paths(field, scenario)

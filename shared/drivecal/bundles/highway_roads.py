@@ -126,7 +126,9 @@ def _starts(scenario: TaskScenario, road: Road, field: str) -> Iterator[Problem]
     wanted |= {f"traffic[{index}].lane": other.lane for index, other in enumerate(scenario.traffic)}
     for place, lane in wanted.items():
         if lane >= road.lanes:
-            yield Problem(f"{field}.{place}", f"{lane} of a road of {road.lanes} lanes", f"give 0 to {road.lanes - 1}")
+            yield Problem(
+                f"{field}.{place}", f"lane {lane}, but the road has {road.lanes} lanes", f"give 0 to {road.lanes - 1}"
+            )
     for place, value, least, most in (("s", ego.s, 0.0, road.length), ("d", ego.d, road.right_edge, road.left_edge)):
         if not least <= value <= most:
             yield Problem(f"{field}.ego.{place}", f"{value:g} m is off the road", f"give {least:g} to {most:.2f}")

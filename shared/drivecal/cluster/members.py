@@ -114,11 +114,13 @@ def ask(address: str) -> tuple[Node, ...]:
 def _check_port(address: str) -> None:
     """Raises UnavailableError at once if the port is closed; Ray takes most of a minute to notice."""
     try:
-        socket.create_connection(host_and_port(address), CONNECT_SECONDS).close()
+        place = host_and_port(address)
     except ValueError as error:
         raise InvalidInputError(Problem("HOST:PORT", str(error))) from None
-    except OSError as error:
-        raise UnavailableError(f"the head at {address} does not answer: {error.strerror or error}") from error
+    try:
+        socket.create_connection(place, CONNECT_SECONDS).close()
+    except (OSError, UnicodeError) as error:
+        raise UnavailableError(f"the head at {address} does not answer: {getattr(error, 'strerror', None) or error}") from error
 
 
 def _node(identifier: str, info: Any) -> Node:

@@ -204,8 +204,8 @@ class ReductionSpecification(Model):
     confirm: Annotated[int, Field(ge=0, le=LARGEST_CONFIRM)] = 20
     """Most sets simulated after the search, until the best has no score of a reference and no set is believed to be better."""
     isolated: bool = False
-    """Sees no result of other campaigns, so that what it asks for and finds does not depend on them. Comparisons are. A cell whose run is
-    stored all the same takes that run and counts as simulated."""
+    """Sees no result of other campaigns, so that what it asks for and finds does not depend on them. Comparisons are. If the run
+    of a cell is stored already, the cell takes it and still counts as simulated."""
 
     def tolerance_on(self, scale: Scale) -> float:
         """Returns the largest error of a prediction that does not count."""

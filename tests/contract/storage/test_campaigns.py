@@ -180,7 +180,7 @@ REQUESTS: list[tuple[CampaignState, bool, Action, CampaignState, Action | None]]
     (PAUSED, False, "cancel", CANCELLED, None),
     (PAUSED, False, "pause", PAUSED, None),
     (PAUSED, False, "resume", QUEUED, None),
-    (PAUSED, True, "cancel", CANCELLED, None),
+    (PAUSED, True, "cancel", PAUSED, "cancel"),  # the dispatcher stores the best of all its answers first
     (PAUSED, True, "pause", PAUSED, None),
     (PAUSED, True, "resume", PAUSED, "resume"),
     (CANCELLING, True, "cancel", CANCELLING, None),

@@ -231,8 +231,7 @@ PLAN: dict[str, Any] = yaml.safe_load((installed_problems()["highway"].folder / 
         ("scenarios/S1/task", None, "scenarios.S1.task"),
         ("scenarios/S1/task/target_lane", -1, "scenarios.S1.task.target_lane"),
         ("scenarios/S1/task/speeds", [[500, 20], [0, 30]], "scenarios.S1.task.speeds"),
-        ("scenarios/S1/task/hold", 1000, "scenarios.S1.task.hold"),
-        ("scenarios/S1/traffic/0/drift", [[5, 0.5], [5, 0]], "scenarios.S1.traffic[0].drift"),
+        ("scenarios/S1/traffic/0/drift", [[5, 0.5], [1, 0]], "scenarios.S1.traffic[0].drift"),
         (
             "scenarios/S1/traffic",
             [{"id": "ego", "lane": 0, "s": 1, "speed": 1, "desired_speed": 1}],

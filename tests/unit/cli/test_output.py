@@ -106,6 +106,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         "running, calibration, iteration 3, 60 of 100 cells, about 1 min 01 s left, degraded: 1 of 2 workers is gone",
         "5.5000  P1=0.5 P2=3",
         "S1 5  S2 6",
+        "0 started",
         "0 of 2,000 simulations, 0.0 of 0.5 min",
         "weight is 0: S3",
         "1 min 30 s since its start, pauses included; CPU time of the simulations 1 min 40 s",

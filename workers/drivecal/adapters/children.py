@@ -25,9 +25,9 @@ from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError, RunOutcome
 
-MOST_PROCESSES = 256
 MOST_THREADS = 4096
-"""Limit of a child and its descendants; beyond it all are killed.
+MOST_PROCESSES = 256
+"""Limits of a child and its descendants; beyond one all are killed.
 
 RLIMIT_NPROC is not used: it counts all processes of the user, so that others' processes would fail the child's, and it does not hold root.
 """

@@ -99,7 +99,7 @@ _DEAD = (b"Z", b"X")
 MOST_LOOKS = 200_000
 """Limit of the descriptors at which a count of files without a name looks: a second."""
 SOCKET_BYTES = 208 << 10
-"""Bytes that may wait in a socket (`net.core.wmem_default` of Linux)."""
+"""Bytes that each socket counts (`net.core.wmem_default` of Linux); larger buffers are not counted."""
 MOST_MAPPINGS = 1_000_000
 """Limit of the mappings, as above."""
 
@@ -115,7 +115,7 @@ class Nameless:
     on_disk: dict[int, int] = field(default_factory=dict)
     """Bytes of disk by inode, of files that were in the folder."""
     in_memory: dict[tuple[int, int], int] = field(default_factory=dict)
-    """Bytes of memory by device and inode, of memfd_create, of files that were in /dev/shm, and of sockets at most."""
+    """Bytes of memory by device and inode, of memfd_create, of files that were in /dev/shm, and of sockets."""
     is_complete: bool = True
     """All processes show their files, and all threads were looked at."""
 

@@ -154,8 +154,8 @@ def refuse_push(request: Request) -> str | None:
     digest = signed_digest(pushing.secret, given[0]) if pushing.secret is not None and len(given) == 1 else None
     if digest is None:
         detail = (
-            f"without tokens this server takes problems from its own user only, who alone may read {FILE} in its home folder"
-            f" (chmod 600); type: DRIVECAL_HOME={pushing.home} drivecal problem push DIR"
+            f"without tokens this server takes problems from its own user only, who proves it by {FILE} in its home folder; nobody else"
+            f" may have the right to read that file (chmod 600); type: DRIVECAL_HOME={pushing.home} drivecal problem push DIR"
         )
         raise HTTPException(403, detail)
     return digest

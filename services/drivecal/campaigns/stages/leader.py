@@ -1,5 +1,6 @@
 """The best set of a search and its baseline, as they are stored, with their events."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 from sqlalchemy import Connection
@@ -18,14 +19,19 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 
-def describe_stored(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> None:
-    """Stores the best set of all answers of a search that ends early: rounds under way are not closed."""
-    leader = Leader(campaign, problem, StoredRanking(database, campaign, resolved_spec(campaign)).sets)
-    with database.transaction() as connection:
+def best_of_all(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> Callable[[Connection], None]:
+    """Returns what stores the best set of all answers of a search that ends early: rounds under way are not closed."""
+    ranking = StoredRanking(database, campaign, resolved_spec(campaign)).sets
+    ranking.best_first()
+
+    def store(connection: Connection) -> None:
+        leader = Leader(campaign, problem, ranking)
         leader.describe(connection)
         search = None if campaign.search is None else campaign.search.model_copy(update={"surest": leader.surest})
         described = replace(campaign, best=leader.best, baseline=leader.baseline, search=search)
         campaigns.save_progress(connection, described, {})
+
+    return store
 
 
 class Leader:

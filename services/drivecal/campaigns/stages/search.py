@@ -262,10 +262,6 @@ class SearchStage(Stage):
                 events.add(connection, self._campaign.sequence, EventKind.NOTE, {"text": notes[-1]})
                 self._repeatable_no_more = True
         notes += self._score_notes()
-        if self._view.isolated and counts.runs < counts.simulated:
-            notes.append(
-                f"{counts.simulated:,} cells count as simulated, and {counts.runs:,} runs were started: others were stored"
-            )
         repaired = self._search.repaired
         if repaired.collapses:
             notes.append(

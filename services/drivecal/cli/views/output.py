@@ -90,6 +90,9 @@ def print_campaign(campaign: Campaign) -> None:
             lines.append((label, f"{cells.requested:,} requested = {_sum(cells)}"))
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
+        if campaign.cells.runs < campaign.cells.simulated:
+            text = f"{campaign.cells.runs:,} started; other simulated cells took runs of other campaigns"
+            lines.append(("runs", text))
     if campaign.budget is not None:
         lines.append(("search", _search_text(campaign)))
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
@@ -124,13 +127,14 @@ def print_campaign(campaign: Campaign) -> None:
 
 
 def _beside_text(campaign: Campaign) -> str:
-    """Returns how many seeds the baseline's objective is of, if the best set has others, and the best set's objective under them."""
+    """Returns how many seeds the baseline's objective is of, if the best set has more, and the best set's objective under them."""
     baseline, best = campaign.baseline, campaign.best
     if baseline is None or baseline.objective is None or best is None or best.replicates < 2:
         return ""
+    seeds = len(baseline.seeds) or 1
     if baseline.best_objective is None:
-        return " under other seeds than the best set's"
-    return f" under {len(baseline.seeds)} seeds, where the best set has {objective_text(baseline.best_objective)}"
+        return f" (seeds: {seeds}, of the best set {best.replicates})" if seeds != best.replicates else ""
+    return f" under {seeds} seeds (the best set under them: {objective_text(baseline.best_objective)})"
 
 
 def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:

@@ -56,6 +56,8 @@ class Scheduler:
     def __init__(self, resources: Resources | None = None) -> None:
         """`resources`: the scarce things of the server, by default none."""
         self._resources = resources or Resources({})
+        self._is_scarce = False
+        """True once a setup needed resources, or was busy: most servers ask no further."""
         self._closing: dict[int, tuple[str, SetupRequest]] = {}
         """Setups that workers are asked to close, by batch."""
         self._costs = CellCosts()
@@ -85,6 +87,7 @@ class Scheduler:
         """
         setup = work.setup.key
         self._costs.relate(setup, work.setup.kind)
+        self._is_scarce |= bool(work.setup.resources)
         cost, had_none = self._costs.seconds_per_cell(setup), not self._in_flight.of(tag)
         claims = self._in_flight.add(work, tag, priority)
         if claims:
@@ -213,6 +216,7 @@ class Scheduler:
         self._worker_health.answered(result.worker, result)
         self._resources.end(sent.worker, request, closed=result.refusal is not None)
         self._resources.note(sent.worker, request, result.busy)
+        self._is_scarce |= result.busy is not None
         is_stopped = result.refusal is not None or result.busy is not None
         self._charge(sent, result.seconds if result.results or not is_stopped else 0.0)
         answers = {answer.id: answer for answer in result.results}
@@ -295,7 +299,7 @@ class Scheduler:
         if wholly and any(claim.simulation.leader is not None for claim in self._in_flight.of(tag)):
             return None
         reasons: dict[str, list[str]] = {}
-        for key in self._queue.setups(tag):
+        for key in self._queue.setups(tag) if self._is_scarce else ():
             setup = self._in_flight.setup(key)
             if (reason := self._resources.why(setup)) is not None:
                 reasons.setdefault(reason, []).append(setup.scenario)
@@ -317,15 +321,15 @@ class Scheduler:
 
     def _has_startable(self, worker: str, line: Line) -> bool:
         """Returns whether a worker may start a cell of a line: its resources are free and its simulator is not busy."""
-        return any(self._may_start(worker, setup) for setup in line.setups)
+        return not self._is_scarce or any(self._may_start(worker, setup) for setup in line.setups)
 
     def _keep_back(self, worker: str, line: Line) -> None:
-        for setup in line.setups:
+        for setup in line.setups if self._is_scarce else ():
             if worker not in self.refusals.refusing(setup):  # it would wait here in vain
                 self._resources.keep_back(worker, self._in_flight.setup(setup))
 
     def _may_start(self, worker: str, setup: SetupKey) -> bool:
-        return self._resources.may_start(worker, self._in_flight.setup(setup))
+        return not self._is_scarce or self._resources.may_start(worker, self._in_flight.setup(setup))
 
     def _close(self, worker: str, chosen: SetupKey | None) -> Dispatch | None:
         """Returns the request to close a setup that holds resources at an idle worker, if there is one."""
@@ -376,8 +380,8 @@ class Scheduler:
             and not (only_short and self._is_long(setup))
             and self._may_start(worker, setup)
         ]
-        # what is scarce is never left to the end
-        able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
+        if self._is_scarce:  # what is scarce is never left to the end
+            able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
         chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
         return None if chosen is None else line.groups[chosen]
 

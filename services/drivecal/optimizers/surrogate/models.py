@@ -25,7 +25,7 @@ Bools = npt.NDArray[np.bool_]
 GROWTH = 1.15
 """Hyperparameters are fitted again when its answers have grown by this factor."""
 MOST = 300
-"""Answers that a process learns from; of more, the newest, some of all, and those nearest to the newest."""
+"""Answers that a process learns from; of more, the newest, some of all, those nearest to the newest, and the newest sound ones."""
 MOST_TUNED = 150
 """Answers that hyperparameters are fitted to; of more, every second or third."""
 FEWEST = 3

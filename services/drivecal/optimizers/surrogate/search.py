@@ -175,7 +175,7 @@ class SurrogateSearch:
         self._merits = {}
         promising = self._promising()
         for begun, drawn, aim in promising:
-            if self._left is not None and len(self._answers.missing(begun)) > self._left:
+            if self._left is not None and len(self._answers.missing(begun, self._needs[aim])) > self._left:
                 continue
             wanted = min(room - len(cells), at_once - self._answers.pending(begun))
             self._ask_deciding(begun, drawn, aim, wanted, cells)

@@ -61,7 +61,7 @@ def test_the_desired_speed_changes_at_its_place_on_the_road() -> None:
 
 
 def test_a_vehicle_drifts_along_its_knots() -> None:
-    vehicle = S1.traffic[0].model_copy(update={"drift": [(1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)]})
+    vehicle = S1.traffic[0].model_copy(update={"drift": [(1.0, 0.0), (1.0, 0.0), (2.0, 0.5), (3.0, 0.5), (4.0, -0.5)]})
     offsets = drift_offsets(vehicle, S1)
     assert len(offsets) == round(S1.duration / S1.step)
     after = {time: offsets[round(time / S1.step) - 1] for time in (0.5, 1.5, 2.5, 3.5, 10.0)}

@@ -1,6 +1,6 @@
 """Controls of the ego vehicle, by controllers of users and by planners, and its view of a run."""
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -41,7 +41,23 @@ Command = tuple[Floats | None, float, float]
 """A trajectory (n, 7) that begins now, or commands: steering angle or curvature, and acceleration."""
 
 
-class CommandControl:
+class EgoControl(Protocol):
+    """Drives the ego vehicle.
+
+    `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`.
+    """
+
+    period: float
+    by: int
+
+    def begin(self, parameters: Any) -> None:
+        """Starts a run."""
+
+    def act(self, view: RunView) -> Command:
+        """Returns the command that holds for a period."""
+
+
+class CommandControl(EgoControl):
     """A controller of a user's that steers and accelerates. What it leaves out, the lane keeper and the speed keeper do."""
 
     def __init__(self, controller: Checked, period: float) -> None:
@@ -61,7 +77,7 @@ class CommandControl:
         return None, lateral, keeper_acceleration(signals) if wanted is None else float(commands[wanted])
 
 
-class PlannerControl:
+class PlannerControl(EgoControl):
     """A driving function's planner."""
 
     by = kernels.TRAJECTORY
@@ -75,7 +91,3 @@ class PlannerControl:
 
     def act(self, view: RunView) -> Command:
         return self._plan(view), 0.0, 0.0
-
-
-EgoControl = CommandControl | PlannerControl
-"""Drives the ego vehicle. `period`: seconds between two commands; `by`: how it steers, as in `kernels.drive`."""

@@ -8,7 +8,7 @@ import select
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -83,6 +83,8 @@ class ProgramController:
         assert self._process.stdin is not None  # noqa: S101  # for the type checker
         assert self._process.stdout is not None  # noqa: S101  # for the type checker
         self._stdin, self._stdout = self._process.stdin.fileno(), self._process.stdout.fileno()
+        self._said = select.poll()
+        self._said.register(self._stdout, select.POLLIN)
         greeting = {"drivecal": 1, "signals": self._signals, "output": self._output, "period": self._period}
         self._ask(greeting)
 
@@ -94,7 +96,7 @@ class ProgramController:
 
     def _send(self, content: bytes) -> None:
         try:
-            if select.select([self._stdout], [], [], 0)[0] and os.read(self._stdout, 1):
+            if self._said.poll(0) and os.read(self._stdout, 1):
                 raise ProgramError(EXTRA_LINE)
             while content:
                 content = content[os.write(self._stdin, content) :]
@@ -141,7 +143,17 @@ class ControllerError(DrivecalError):
     """A controller raised an exception, ended, or gave something else than its commands."""
 
 
-class FunctionController:
+class Controller(Protocol):
+    """A controller of one scenario."""
+
+    def begin(self, parameters: Mapping[str, Any]) -> None:
+        """Starts a run with these parameters, from the controller's initial state."""
+
+    def step(self, signals: Sequence[float]) -> Sequence[Any]:
+        """Returns the commands in the order of the manifest's `output`. `signals` have the order of `geometry.NAMES`."""
+
+
+class FunctionController(Controller):
     """A function `(observation, parameters)`, or a class with `step(observation)` that is made for each run."""
 
     def __init__(self, target: Callable[..., Any], output: Sequence[str], scenario: Mapping[str, Any]) -> None:
@@ -172,7 +184,7 @@ class FunctionController:
         return (answer,)
 
 
-class LoadedFmuController:
+class LoadedFmuController(Controller):
     """An FMU for co-simulation, which is reset for each run. Its inputs are observed at the begin of each step, its outputs at the end.
 
     It is initialised in the first step, when its inputs are known.
@@ -213,10 +225,6 @@ class LoadedFmuController:
         self._count += 1
         values = self._reader.read()
         return [values[index] for index in self._order]
-
-
-Controller = FunctionController | ProgramController | LoadedFmuController
-"""A controller of one scenario: `begin` starts a run, `step` takes signals in the order of `geometry.NAMES` and gives commands."""
 
 
 class Checked:

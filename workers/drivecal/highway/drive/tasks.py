@@ -89,7 +89,7 @@ def drift_offsets(vehicle: TrafficVehicle, scenario: Scenario) -> list[float]:
 def _interpolate(knots: Sequence[tuple[float, float]], time: float) -> float:
     for (begin, first), (end, second) in pairwise(knots):
         if time < end:
-            return first + (second - first) * max(0.0, time - begin) / (end - begin)
+            return first + (second - first) * max(0.0, time - begin) / (end - begin) if begin < end else first
     return knots[-1][1]
 
 

@@ -19,10 +19,11 @@ function measureOf({ objective, scale, setup }: Scored & Pick<Campaign, "objecti
 
 /** Whether the scores of campaigns, by scenario, are on one scale, and of one formula. */
 export function haveLikeScores(campaigns: readonly Scored[]): boolean {
-  return new Set(campaigns.map(({ scale, setup }) => JSON.stringify([scale, setup?.evaluator]))).size < 2;
+  const formulas = new Set(campaigns.flatMap(({ setup }) => setup?.evaluator ?? []));
+  return formulas.size < 2 && new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
 }
 
-/** Searches by what their objectives are: other names, units, directions or formulas need another axis. */
+/** Searches by what their objectives are: other names, units or directions, or of scores other formulas, need another axis. */
 export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
   const groups = grouped(searches, ({ of }) => JSON.stringify(measureOf(of)));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));

@@ -69,7 +69,7 @@ async function baselineCell(campaign: string, parameters: Values, scenario: stri
 /** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one. */
 export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">, ofBest: boolean): SetSide | null {
   if (!baseline) return null;
-  const known = ofBest && typeof baseline.best_objective === "number" ? `by seeds ${baseline.seeds.join(", ")}; the best set has ${number(baseline.best_objective, 4)} under them` : "";
+  const known = ofBest && typeof baseline.best_objective === "number" ? `under seeds ${baseline.seeds.join(", ")}, under which the best set has ${number(baseline.best_objective, 4)}` : "";
   return { ...baseline, ...(known && { known, beside: baseline.best_scores }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
 }
 
