@@ -248,15 +248,16 @@ def _ordered(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return knots
 
 
+IN_ORDER = AfterValidator(_ordered)
+
+
 class Task(Model):
     """The task of the planner: to be in the target lane at the desired speed at the end. Lanes count from the right, from 0."""
 
     start_lane: Lane
     target_lane: Lane
     speeds: Annotated[
-        list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]],
-        Field(min_length=1, max_length=100),
-        AfterValidator(_ordered),
+        list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100), IN_ORDER
     ]
     """Pairs of arc length (m), in its order, and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
@@ -302,9 +303,7 @@ class TrafficVehicle(Model):
     deceleration: Annotated[float, Field(gt=0, le=50)] = 3.0
     time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
     drift: Annotated[
-        list[Annotated[tuple[Number, Number], Field(strict=False)]],
-        Field(max_length=1000, default_factory=list),
-        AfterValidator(_ordered),
+        list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list), IN_ORDER
     ]
     """Pairs of time (s), in its order, and offset (m, to the left of the lane's centre), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
