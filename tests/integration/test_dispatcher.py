@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from sqlalchemy import select
@@ -15,6 +16,7 @@ from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import installed_bundles
 from drivecal.campaigns.results.front import StoredRanking
+from drivecal.campaigns.stages import leader
 from drivecal.contracts.specification import EvaluationSpecification
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
@@ -118,6 +120,12 @@ def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database
     assert present(ended.best).objective == best.objective  # of a generation that was not closed
     again = _run(database, submit(database))
     assert again.cells.repeated >= ended.cells.simulated
+
+
+def test_a_fault_in_the_best_set_of_a_campaign_ends_this_one_alone(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leader.Leader, "describe", Mock(side_effect=ValueError("a bug")))
+    ended = _run(database, submit(database))
+    assert (ended.state, "a bug" in str(ended.error), ended.best) == (CampaignState.FAILED, True, None)
 
 
 def test_a_single_evaluation_without_a_result_in_a_scenario_has_failed(database: Database) -> None:

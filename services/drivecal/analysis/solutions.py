@@ -559,7 +559,8 @@ class Ranking:
 
     def beside_best(self, parameter_set: int, seeds: Collection[int] | None = None) -> tuple[EvaluatedSet, EvaluatedSet] | None:
         """Returns the best set and another one, by its id, under the seeds that both were run under: what a seed does to all sets is no
-        difference. None without a result of both. `seeds`: these alone; None if there are none, the best set lacks one, or one chooses."""
+        difference. None without a result of both. `seeds`: these alone; None without any, if the best set lacks one, or if one
+        chose the best set."""
         best, sides = self.best(), list[EvaluatedSet]()
         shared = set() if best is None else self.seeds(best[0].parameter_set) & self.seeds(parameter_set)
         if seeds is not None:

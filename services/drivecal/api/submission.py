@@ -13,6 +13,7 @@ from drivecal.analysis.goals import SCORE
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.dependencies import Limits
 from drivecal.api.expectation import checked, checked_comparison, compared_map, refuse_without, stored_parts
+from drivecal.api.responses import state_of
 from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.comparison import keys_of, tag_of
 from drivecal.campaigns.resolve.maps import is_outdated, warnings_of
@@ -96,7 +97,7 @@ def rerun(
     if first.kind != "calibration":
         raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
     if not first.state.ended:
-        raise ConflictError(f"campaign {first_id} is {first.state}; rerun it when it has ended, or cancel it first")
+        raise ConflictError(f"campaign {first_id} is {state_of(first)}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     with database.read() as connection:

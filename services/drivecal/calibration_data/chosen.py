@@ -87,7 +87,7 @@ def figures_of(
     Args:
         known: the results of the campaign.
         chosen: the set, of the solutions or of the front.
-        weights: weights that it was chosen by, if they are not the campaign's own, which are given else.
+        weights: weights that it was chosen by, if they are not the campaign's own, which are given otherwise.
         score: the score, likewise.
     """
     if isinstance(chosen, FrontRow):

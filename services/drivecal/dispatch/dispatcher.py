@@ -7,7 +7,8 @@ any moment: after a crash or a failed transaction, campaigns resume from their r
 import logging
 import threading
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
@@ -434,7 +435,8 @@ class Dispatcher:
         note_best = None if state is CampaignState.SUCCEEDED else self._best_of_all(active.campaign.sequence)
         with self._database.transaction() as connection:
             if note_best is not None:
-                note_best(connection)
+                with _ends_all_the_same(), connection.begin_nested():
+                    note_best(connection)
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
         if (context := tracing.root(active.campaign.id)) is not None:
@@ -445,15 +447,14 @@ class Dispatcher:
         self._active.pop(active.campaign.sequence, None)
 
     def _best_of_all(self, sequence: int) -> Callable[[Connection], None] | None:
-        """Returns what stores the best set of a search that ends early; None if that fails: the campaign ends all the same."""
+        """Returns what stores the best set of a search that ends early; None without a search, or if that fails."""
         with self._database.read() as connection:
             campaign = campaigns.by_sequence(connection, sequence)
-        try:
+        store: Callable[[Connection], None] | None = None
+        with _ends_all_the_same():
             problem = None if campaign.search is None else problem_of(campaign, stored_bundles(self._database))
-            return best_of_all(self._database, campaign, problem) if isinstance(problem, CalibrationProblem) else None
-        except Exception:
-            log.exception("its best set stays what the last closed round made it")
-            return None
+            store = best_of_all(self._database, campaign, problem) if isinstance(problem, CalibrationProblem) else None
+        return store
 
     def _forget_jobs(self) -> None:
         """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""
@@ -461,6 +462,17 @@ class Dispatcher:
             active.job = active.beginning = None
             self._pool.withdraw(active.tag)
         self._next_look = 0.0
+
+
+@contextmanager
+def _ends_all_the_same() -> Iterator[None]:
+    """Keeps what is wrong with the best set of a campaign from hindering its end; without the database that waits."""
+    try:
+        yield
+    except (UnavailableError, SupersededError):
+        raise
+    except Exception:
+        log.exception("its best set stays what the last closed round made it")
 
 
 def _waits_for_a_place(heading: CampaignHeading) -> bool:

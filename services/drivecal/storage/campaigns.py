@@ -312,7 +312,7 @@ def active(connection: Connection) -> list[CampaignHeading]:
 
 
 def request_action(connection: Connection, campaign_id: str, action: Action) -> StoredCampaign:
-    """Asks the dispatcher to cancel, pause or resume a campaign; if nothing of it runs, does so at once. Idempotent.
+    """Asks the dispatcher to cancel, pause or resume a campaign; what has not started changes at once. Idempotent.
 
     Gives the campaign as it is then. Raises NotFoundError, and ConflictError for what has ended or is about to be cancelled.
     """

@@ -244,7 +244,7 @@ class HighwayScenario(Surroundings):
 def _ordered(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
     for (before, _), (place, _) in pairwise(knots):
         if place < before:
-            raise ValueError(f"{place:g} lies before {before:g}; give the pairs in their order")
+            raise ValueError(f"{place:g} lies before {before:g}; sort the pairs by their first number")
     return knots
 
 
@@ -259,7 +259,7 @@ class Task(Model):
     speeds: Annotated[
         list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100), IN_ORDER
     ]
-    """Pairs of arc length (m), in its order, and desired speed (m/s): the speed applies beyond that point of the road."""
+    """Pairs of arc length (m), which does not fall, and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
     """Earliest time (s) at which the vehicle wants the target lane."""
     hold: Annotated[float, Field(gt=0, le=3600)] = 1.0
@@ -305,7 +305,7 @@ class TrafficVehicle(Model):
     drift: Annotated[
         list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list), IN_ORDER
     ]
-    """Pairs of time (s), in its order, and offset (m, to the left of the lane's centre), linear between."""
+    """Pairs of time (s), which does not fall, and offset (m, to the left of the lane's centre), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""
     speed_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0

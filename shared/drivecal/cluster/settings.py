@@ -3,6 +3,7 @@
 Set the environment before importing Ray, which reads it once.
 """
 
+import re
 from functools import cache
 from hashlib import sha256
 from importlib.metadata import version
@@ -56,7 +57,7 @@ def host_and_port(address: str) -> tuple[str, int]:
     """Returns where a head listens. Raises ValueError with what would be right."""
     host, _, port = address.rpartition(":")
     host = host[1:-1] if host.startswith("[") and host.endswith("]") else host
-    is_host = host.strip(":") and not set("/[]") & set(host) and max(map(len, host.split("."))) < 64
+    is_host = re.fullmatch(r"[\w.:-]*[\w.-]|[\w:]*::", host) and max(map(len, host.split("."))) < 64
     if not is_host or not port.isdecimal() or not 0 < int(port) < 2**16:
         raise ValueError(f"{address!r} is not the address of a head; give HOST:PORT, e.g. ray-head:{PORT}")
     return host, int(port)

@@ -43,9 +43,8 @@ def change(
 ) -> tuple[EventKind, dict[str, Any]] | None:
     """Returns the event to record and the columns to change, or None if `action` changes nothing or was requested already.
 
-    `asked`: the earlier request that the dispatcher has not carried out yet. The dispatcher carries out what a
-    started campaign is asked for.
-    Raises ConflictError if the campaign has ended or is about to be cancelled.
+    `asked`: the earlier request that the dispatcher has not carried out yet. The dispatcher carries out what a started campaign is asked
+    for, unless that only takes back the earlier request. Raises ConflictError if the campaign has ended or is about to be cancelled.
     """
     if state.ended:
         if action == "cancel" and state is CampaignState.CANCELLED:
@@ -56,7 +55,7 @@ def change(
         raise ConflictError(f"campaign {campaign_id} is being cancelled: it is too late to {action} it")
     match action:
         case "cancel" if not cancelling:
-            if state is CampaignState.RUNNING or has_started:
+            if has_started:
                 return EventKind.CANCELLING, {"requested_action": "cancel"}
             ended = {"state": CampaignState.CANCELLED, "ended_at": now, "requested_action": None, "waiting": None}
             return EventKind.CANCELLED, ended

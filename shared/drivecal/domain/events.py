@@ -24,7 +24,7 @@ class EventKind(StrEnum):
     """Resumption requested."""
     RESUMED = "resumed"
     CANCELLING = "cancelling"
-    """Cancellation requested; workers finish their running cells first."""
+    """Cancellation requested; cells that run are finished first."""
     CANCELLED = "cancelled"
     SUCCEEDED = "succeeded"
     FAILED = "failed"
@@ -61,7 +61,7 @@ class EventKind(StrEnum):
 ASKED = {
     "pause": "pausing: workers finish their running cells first",
     "resume": "resuming: the dispatcher continues it",
-    "cancel": "cancelling: workers finish their running cells first, and their results are kept",
+    "cancel": "cancelling: cells that run are finished first, and results are kept",
 }
 """Texts of a requested action until it takes effect."""
 

@@ -21,7 +21,7 @@ from drivecal.cli.main import app
 from drivecal.cli.views import progress
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
-from drivecal.contracts.campaign import Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
+from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
 from drivecal.contracts.results import ImportanceAnswer
 from drivecal.contracts.tables import ImportedRow
@@ -95,7 +95,8 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         progress=Progress(done=60, total=100, eta_seconds=61),
         stages={"calibration": CELLS},
         error_rate={"S1": ErrorRate(audited=20, different=2, wrong=1, upper_95=0.25), "S2": ErrorRate()},
-        best=Best(objective=5.5, parameters={"P1": 0.5, "P2": 3}, scores={"S1": 5, "S2": 6}, alternatives=2),
+        best=Best(objective=5.5, parameters={"P1": 0.5, "P2": 3}, scores={"S1": 5, "S2": 6}, alternatives=2, replicates=8),
+        baseline=Baseline(objective=4.0, parameters={"P1": 0, "P2": 1}, scores={}, seeds=[13, 14], best_objective=4.5),
         seconds=Seconds(wall=90, simulating=100),
         notes=["not simulated because their weight is 0: S3"],
         budget={"simulations": 2000.0, "minutes": 0.5, "stagnation": None},
@@ -105,6 +106,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
     for wanted in (
         "running, calibration, iteration 3, 60 of 100 cells, about 1 min 01 s left, degraded: 1 of 2 workers is gone",
         "5.5000  P1=0.5 P2=3",
+        "4.0000 under 2 seeds (the best set under them: 4.5000)  P1=0 P2=1",
         "S1 5  S2 6",
         "0 started",
         "0 of 2,000 simulations, 0.0 of 0.5 min",

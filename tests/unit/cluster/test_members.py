@@ -103,7 +103,9 @@ def test_an_unreachable_head_is_named_at_once() -> None:
         ask("127.0.0.1:9")
 
 
-@pytest.mark.parametrize("address", ["nonsense", "ray-head:http", "10.0.0.1:", "127.0.0.1:99999", "::1", "http://h:6379"])
+@pytest.mark.parametrize(
+    "address", ["nonsense", "ray-head:http", "10.0.0.1:", "127.0.0.1:99999", "::1", "2001:db8::1", "http://h:6379"]
+)
 def test_what_is_no_address_of_a_head_is_not_waited_for(address: str) -> None:
     assert [problem.field for problem in faults_of(ask, address)] == ["HOST:PORT"]
 

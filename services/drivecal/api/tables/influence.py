@@ -87,8 +87,8 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
 
 
 NEAR = (
-    "these are the sets that the search asked for: a parameter that explains little of them may matter elsewhere, also if its interval is"
-    " narrow; a sensitivity analysis or a random search shows whether it does"
+    "these are the sets that the search asked for: a parameter that explains little of how they differ may matter elsewhere, however"
+    " narrow its interval; a sensitivity analysis or a random search shows whether it does"
 )
 METHOD = f"permutation: half the loss of R² on a held-out {100 * HELD_OUT:.0f} %, by {TREES} extremely randomised trees"
 

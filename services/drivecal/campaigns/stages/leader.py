@@ -20,9 +20,10 @@ from drivecal.storage.references import parameter_sets
 
 
 def best_of_all(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> Callable[[Connection], None]:
-    """Returns what stores the best set of all answers of a search that ends early: rounds under way are not closed."""
-    ranking = StoredRanking(database, campaign, resolved_spec(campaign)).sets
-    ranking.best_first()
+    """Returns what stores the best set of all answers of a search that ends early: rounds under way are not closed. Later runs of other
+    campaigns correct none of them, as in the search."""
+    ranking = StoredRanking(database, campaign, resolved_spec(campaign), watermark=0).sets
+    ranking.best_first()  # reads and ranks before the transaction
 
     def store(connection: Connection) -> None:
         leader = Leader(campaign, problem, ranking)

@@ -91,8 +91,8 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
         if campaign.cells.runs < campaign.cells.simulated:
-            text = f"{campaign.cells.runs:,} started; other simulated cells took runs of other campaigns"
-            lines.append(("runs", text))
+            taken = f"{campaign.cells.runs:,} started for {campaign.cells.simulated:,} simulated cells"
+            lines.append(("runs", f"{taken}: the others took runs that other campaigns made"))
     if campaign.budget is not None:
         lines.append(("search", _search_text(campaign)))
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
@@ -127,14 +127,14 @@ def print_campaign(campaign: Campaign) -> None:
 
 
 def _beside_text(campaign: Campaign) -> str:
-    """Returns how many seeds the baseline's objective is of, if the best set has more, and the best set's objective under them."""
+    """Returns how many seeds make the baseline's objective, if runs are random, and the best set's objective under them."""
     baseline, best = campaign.baseline, campaign.best
     if baseline is None or baseline.objective is None or best is None or best.replicates < 2:
         return ""
-    seeds = len(baseline.seeds) or 1
+    text = f" under {len(baseline.seeds)} seeds" if baseline.seeds else " under one seed"
     if baseline.best_objective is None:
-        return f" (seeds: {seeds}, of the best set {best.replicates})" if seeds != best.replicates else ""
-    return f" under {seeds} seeds (the best set under them: {objective_text(baseline.best_objective)})"
+        return text
+    return f"{text} (the best set under them: {objective_text(baseline.best_objective)})"
 
 
 def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:

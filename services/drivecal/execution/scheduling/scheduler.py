@@ -57,7 +57,7 @@ class Scheduler:
         """`resources`: the scarce things of the server, by default none."""
         self._resources = resources or Resources({})
         self._is_scarce = False
-        """True once a setup needed resources, or was busy: most servers ask no further."""
+        """True once a setup needed resources, or was busy; before, nothing is asked about resources."""
         self._closing: dict[int, tuple[str, SetupRequest]] = {}
         """Setups that workers are asked to close, by batch."""
         self._costs = CellCosts()

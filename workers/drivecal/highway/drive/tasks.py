@@ -164,7 +164,7 @@ class TaskRunner:
             "final_offset_m": offsets.item(-1),
             "final_speed_error_mps": speed_errors(motion[-1:], self._scenario).item(),
         }
-        metrics |= getattr(self._vehicle, "metrics", None) or {}  # of some vehicles, or after a run alone
+        metrics |= getattr(self._vehicle, "metrics", None) or {}  # some vehicles have none, some only after a run
         failure, rating = finished.failure, None
         if failure is None and not fulfilled(motion, self._scenario):
             failure = Failure.TASK_MISSED.value
