@@ -450,11 +450,11 @@ class Dispatcher:
         """Returns what stores the best set of a search that ends early; None without a search, or if that fails."""
         with self._database.read() as connection:
             campaign = campaigns.by_sequence(connection, sequence)
-        store: Callable[[Connection], None] | None = None
         with _ends_all_the_same():
             problem = None if campaign.search is None else problem_of(campaign, stored_bundles(self._database))
-            store = best_of_all(self._database, campaign, problem) if isinstance(problem, CalibrationProblem) else None
-        return store
+            if isinstance(problem, CalibrationProblem):
+                return best_of_all(self._database, campaign, problem)
+        return None
 
     def _forget_jobs(self) -> None:
         """Drops jobs after a failed transaction: memory may differ from the rows, so each job resumes from its rows."""
