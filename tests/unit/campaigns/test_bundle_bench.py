@@ -6,12 +6,11 @@ from typing import Any
 
 import pytest
 import yaml
-from tests.support.changes import with_change
 from tests.support.values import faulty_fields, present
 
 from drivecal.bundles.checks import checked
 from drivecal.bundles.highway_catalogue import MEASURES as CATALOGUE
-from drivecal.bundles.installed import Bundle, installed_problems
+from drivecal.bundles.installed import Bundle
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
@@ -52,14 +51,6 @@ def fields(**settings: Any) -> set[str]:
 def rated(score: str, measures: dict[str, float | None], failure: str | None = None) -> float | None:
     rating = bench_of(bundle(), score).rate("wet", measures, failure)
     return None if rating is None else rating.rating
-
-
-@pytest.mark.parametrize(("name", "lower", "upper"), [("P1", 0, 8000), ("P3", -500, 0)])
-def test_a_range_beyond_the_limits_of_the_planner_is_refused(name: str, lower: float, upper: float) -> None:
-    document = yaml.safe_load((installed_problems()["highway"].folder / "problem.yaml").read_text()) | {"problem": "p"}
-    document = with_change(document, f"parameters/{name}", {"lower": lower, "upper": upper})
-    stored = Bundle("d1", "f1", checked(document))
-    assert faulty_fields(resolved, stored, problem="p") == ["problem"]
 
 
 def test_the_built_in_traffic_stores_measures_that_only_a_later_push_declares() -> None:

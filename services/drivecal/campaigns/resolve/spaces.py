@@ -69,8 +69,8 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification] | None,
         if bool(parameter.choices) != bool(usual.choices) or not set(parameter.choices) <= set(usual.choices):
             diagnostics.add(f"{where}.choices", f"{function.name} takes {listed.name} {usual.extent}", "list such values")
         elif not parameter.choices:
-            check_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
-            check_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
+            _within_limits(function, listed.name, parameter.lower, f"{where}.lower", diagnostics)
+            _within_limits(function, listed.name, parameter.upper, f"{where}.upper", diagnostics)
     diagnostics.raise_if_any()
     return tuple(sorted(grids, key=lambda parameter: known.index(parameter.name)))
 
@@ -228,11 +228,10 @@ def _check_free(function: Function, usual: Parameter, value: Value, field: str, 
         diagnostics.add(field, str(error), "round it")
     if usual.kind == "integer" and value != value.to_integral_value():
         diagnostics.add(field, f"{value} is not a whole number", f"give e.g. {value.to_integral_value()}")
-    check_limits(function, usual.name, value, field, diagnostics)
+    _within_limits(function, usual.name, value, field, diagnostics)
 
 
-def check_limits(function: Function, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
-    """Adds a fault if a value lies beyond the function's limits of a parameter."""
+def _within_limits(function: Function, name: str, value: Decimal, field: str, diagnostics: Diagnostics) -> None:
     smallest, largest = function.limits.get(name, (None, None))
     or_else = ", or push the problem with a wider range" if function.name in function.spaces else ""
     if smallest is not None and value < decimal(smallest):

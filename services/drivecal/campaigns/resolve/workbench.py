@@ -17,7 +17,7 @@ from drivecal.bundles.manifest import CommandSimulator, Manifest
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.goals import KnownValues
-from drivecal.campaigns.resolve.spaces import Function, check_limits
+from drivecal.campaigns.resolve.spaces import Function
 from drivecal.contracts.specification import (
     CampaignSpecification,
     EvaluationSpecification,
@@ -29,7 +29,6 @@ from drivecal.domain.constraints import Constraint as Allows
 from drivecal.domain.errors import Diagnostics, NotFoundError
 from drivecal.domain.parameters import Parameter
 from drivecal.domain.setups import base_of
-from drivecal.domain.values import decimal
 from drivecal.domain.vehicles import VehicleParameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import ConstrainedFunction, DrivingFunction, Evaluator, SeriesEvaluator
@@ -156,7 +155,7 @@ def find_workbench(wanted: Wanted, source: BundleSource, diagnostics: Diagnostic
         drives = wanted.driving_function or section["controller"]["driving_function"]
         plugin = diagnostics.attempt(lambda: registry.driving_function(drives))
         varied, values, known = _vehicle(wanted.vehicle, manifest, section, diagnostics)
-        function = None if plugin is None else _driven(manifest, section, plugin, diagnostics)
+        function = None if plugin is None else _driven(manifest, section, plugin)
         if plugin is not None:
             section["controller"]["driving_function"] = plugin.name
     else:
@@ -208,8 +207,8 @@ def _declared(manifest: Manifest) -> Function:
     return Function(manifest.problem, spaces, limits, constraints_of(manifest), manifest.shapes)
 
 
-def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunction, diagnostics: Diagnostics) -> Function:
-    """Returns the parameters of a driving function; in the manifest's ranges, which its limits hold, by default if it is the manifest's."""
+def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunction) -> Function:
+    """Returns the parameters of a driving function; in the manifest's ranges by default if it is the manifest's."""
     constraints = plugin.constraints if isinstance(plugin, ConstrainedFunction) else {}
     if plugin.name != section["controller"]["driving_function"]:
         return Function(plugin.name, plugin.spaces, plugin.limits, constraints)
@@ -217,12 +216,7 @@ def _driven(manifest: Manifest, section: Mapping[str, Any], plugin: DrivingFunct
     whole = len(own.spaces[manifest.problem]) == len(next(iter(plugin.spaces.values())))
     further = plugin.spaces if whole else {}
     spaces = {**own.spaces, **{name: space for name, space in further.items() if name not in own.spaces}}
-    function = Function(plugin.name, spaces, plugin.limits, {**constraints, **own.constraints})
-    given = [(each.name, end) for each in own.spaces[manifest.problem] if not each.choices for end in (each.lower, each.upper)]
-    given += [(name, decimal(value)) for name, value in section["controller"]["values"].items()]
-    for name, value in given:
-        check_limits(function, name, value, "problem", diagnostics)
-    return function
+    return Function(plugin.name, spaces, plugin.limits, {**constraints, **own.constraints})
 
 
 def _vehicle(
