@@ -41,8 +41,7 @@ from drivecal.contracts.inventory import (
     ScenarioPage,
     WorkerPage,
 )
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted
-from drivecal.contracts.outside.results import StoredCells
+from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, StoredCells
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledSet
 from drivecal.contracts.results import CampaignResults, FrontSummary, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup

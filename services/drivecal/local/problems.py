@@ -36,8 +36,6 @@ from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, S
 from drivecal.runtime.compilation import prepare_cache
 
 SEED = 20261121
-MOST_DRAWN = 20
-"""Sets that are drawn until there is another one."""
 FAULTS = (NoMeasuresError, UnavailableError, OSError)
 Settings = Mapping[str, Setting]
 
@@ -101,7 +99,7 @@ def other_set(manifest: Manifest) -> dict[str, Setting] | None:
     """Returns a set that is not the `trial_set` and keeps all constraints, drawn with a fixed seed; None if none was drawn."""
     constraints = Constraints(ParameterSpace(parameters_of(manifest)), constraints_of(manifest))
     last, generator, tried = constraints.space.n_values - 1, np.random.default_rng(SEED), trial_set(manifest)
-    for _ in range(MOST_DRAWN):
+    for _ in range(20):  # until one is another one
         try:
             [row] = constraints.region(0 * last, last).sample(1, generator)
         except InvalidInputError:

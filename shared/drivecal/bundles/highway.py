@@ -249,6 +249,8 @@ def _ordered(knots: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 IN_ORDER = AfterValidator(_ordered)
+Knot = Annotated[tuple[Number, Number], Field(strict=False)]
+SpeedFrom = Annotated[tuple[Number, SpeedLimit], Field(strict=False)]
 
 
 class Task(Model):
@@ -256,9 +258,7 @@ class Task(Model):
 
     start_lane: Lane
     target_lane: Lane
-    speeds: Annotated[
-        list[Annotated[tuple[Number, SpeedLimit], Field(strict=False)]], Field(min_length=1, max_length=100), IN_ORDER
-    ]
+    speeds: Annotated[list[SpeedFrom], Field(min_length=1, max_length=100), IN_ORDER]
     """Pairs of arc length (m), which does not fall, and desired speed (m/s): the speed applies beyond that point of the road."""
     lane_change_after: Annotated[float, Field(ge=0, le=3600)] = 0.0
     """Earliest time (s) at which the vehicle wants the target lane."""
@@ -302,9 +302,7 @@ class TrafficVehicle(Model):
     acceleration: Annotated[float, Field(gt=0, le=50)] = 1.5
     deceleration: Annotated[float, Field(gt=0, le=50)] = 3.0
     time_headway: Annotated[float, Field(gt=0, le=60)] = 1.2
-    drift: Annotated[
-        list[Annotated[tuple[Number, Number], Field(strict=False)]], Field(max_length=1000, default_factory=list), IN_ORDER
-    ]
+    drift: Annotated[list[Knot], Field(max_length=1000, default_factory=list), IN_ORDER]
     """Pairs of time (s), which does not fall, and offset (m, to the left of the lane's centre), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""

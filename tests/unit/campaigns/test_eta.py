@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from drivecal.campaigns.stages.eta import EtaEstimate
+from drivecal.campaigns.stages.stage import EtaEstimate
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_progress.json").read_text())
 """Progress of campaigns: seconds, done, total, answered by workers; the last one at the end of the stage. A slow start, stored answers

@@ -12,8 +12,8 @@ from tests.support.changes import replace_in
 
 from drivecal.cluster.members import Node
 from drivecal.execution.ray import cluster
+from drivecal.execution.ray.backend import complaint, missing
 from drivecal.execution.ray.cluster import LONGEST_FOLDER, _PrivateFolder
-from drivecal.execution.ray.placement import complaint, missing
 
 
 @pytest.fixture

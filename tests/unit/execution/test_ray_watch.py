@@ -4,13 +4,13 @@ from collections.abc import Callable
 import pytest
 from tests.support.serve import until
 
-from drivecal.execution.ray import watch
-from drivecal.execution.ray.watch import GIVEN_UP_AFTER, PATIENCE_SECONDS, ClusterWatch, StartedAnewError
+from drivecal.execution.ray import cluster
+from drivecal.execution.ray.cluster import GIVEN_UP_AFTER, PATIENCE_SECONDS, ClusterWatch, StartedAnewError
 
 
 @pytest.fixture(autouse=True)
 def _often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(watch, "EVERY_SECONDS", 0.02)
+    monkeypatch.setattr(cluster, "EVERY_SECONDS", 0.02)
 
 
 class Store:

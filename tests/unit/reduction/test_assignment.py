@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.evaluations import Donor, Outcome, Purpose, RequestedCell
 from drivecal.domain.parameters import ParameterSet
-from drivecal.reduction.assignment import assign
-from drivecal.reduction.audit import is_audited, is_checked
+from drivecal.reduction.assignment import assign, is_audited, is_checked
 
 INFLUENCE = ReductionSpecification(mode="influence", audit=0.0)
 DONOR = Donor(evaluation=7, run=3, score=5, rating=5.2, failure=None)

@@ -13,7 +13,7 @@ from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.validation import error_rates
 from drivecal.contracts.campaign import ErrorRate
 from drivecal.domain.evaluations import AuditCount
-from drivecal.reduction.audit import expected_error_rate
+from drivecal.reduction.assignment import expected_error_rate
 from drivecal.reduction.forest import predictor_on
 from drivecal.reduction.lots import SamplingPlan, best_plan, draw, outgoing_errors
 from drivecal.reduction.prediction import Bools, Floats, Predictions, ScenarioLearner, choose_lot

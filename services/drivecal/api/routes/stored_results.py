@@ -16,8 +16,15 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
 from drivecal.campaigns.results.stored import given_sets, stored_simulations
 from drivecal.configuration.tokens import Token
-from drivecal.contracts.outside.imported import ImportAnswer, ImportDeleted, ImportedResults
-from drivecal.contracts.outside.results import MOST_CELLS, ResultLookup, StoredCell, StoredCells
+from drivecal.contracts.outside.imported import (
+    MOST_CELLS,
+    ImportAnswer,
+    ImportDeleted,
+    ImportedResults,
+    ResultLookup,
+    StoredCell,
+    StoredCells,
+)
 from drivecal.contracts.specification import ProblemSpecification
 from drivecal.contracts.strict_json import ProblemName, Source
 from drivecal.contracts.tables import ImportedRow, Kind, columns_of

@@ -22,7 +22,7 @@ from drivecal.domain.evaluations import ANSWERED_BY_DONOR, INSPECTED, Breakdown,
 from drivecal.domain.scales import plain
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, RunBudget, Work
-from drivecal.reduction.audit import is_checked
+from drivecal.reduction.assignment import is_checked
 from drivecal.storage import evaluations, leases, results, traces
 from drivecal.storage.evaluations import AnsweredCell
 from drivecal.storage.references import runs

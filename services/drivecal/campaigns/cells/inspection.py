@@ -18,7 +18,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import INSPECTED, Outcome, Purpose, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.domain.scales import Scale
-from drivecal.reduction.audit import expected_error_rate
+from drivecal.reduction.assignment import expected_error_rate
 from drivecal.reduction.lots import SamplingPlan, best_plan, draw, most_released
 from drivecal.storage import audits, evaluations, events, lots
 from drivecal.storage.evaluations import AnsweredCell

@@ -20,7 +20,7 @@ from drivecal.reduction.explanation import CellComparison, Nearest, sentence
 from drivecal.storage import audits, campaigns, lots, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.lots import StoredLot
-from drivecal.storage.references import candidates, influence_maps, parameter_sets
+from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.results import StoredEvaluation
 
 
@@ -114,8 +114,8 @@ def _nearest(case: _Case) -> tuple[Nearest | None, int]:
     nearest: Nearest | None = None
     stored = 0
     sources = (
-        candidates.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
-        candidates.own_sets(case.connection, cell, names),
+        results.stored_sets(case.connection, cell.setup_id, case.pinned.evaluator, watermark, names),
+        results.own_sets(case.connection, cell, names),
     )
     for rank, source in enumerate(sources):
         for sets in source:

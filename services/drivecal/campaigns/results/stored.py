@@ -7,7 +7,7 @@ from sqlalchemy import Connection
 
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.spaces import Function, free_values
-from drivecal.contracts.outside.results import StoredCell
+from drivecal.contracts.outside.imported import StoredCell
 from drivecal.contracts.specification import Values
 from drivecal.domain.errors import Diagnostics
 from drivecal.domain.evaluations import Donor, Rating

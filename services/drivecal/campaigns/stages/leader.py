@@ -20,17 +20,15 @@ from drivecal.storage.references import parameter_sets
 
 
 def best_of_all(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> Callable[[Connection], None]:
-    """Returns what stores the best set of all answers of a search that ends early: rounds under way are not closed. Later runs of other
-    campaigns correct none of them, as in the search."""
-    ranking = StoredRanking(database, campaign, resolved_spec(campaign), watermark=0).sets
+    """Returns what stores the best set of all answers of a search that ends early, with rounds that were not closed."""
+    ranking = StoredRanking(database, campaign, resolved_spec(campaign), watermark=0).sets  # as the search sees them
     ranking.best_first()  # reads and ranks before the transaction
 
     def store(connection: Connection) -> None:
         leader = Leader(campaign, problem, ranking)
         leader.describe(connection)
-        search = None if campaign.search is None else campaign.search.model_copy(update={"surest": leader.surest})
-        described = replace(campaign, best=leader.best, baseline=leader.baseline, search=search)
-        campaigns.save_progress(connection, described, {})
+        search = campaign.search and campaign.search.model_copy(update={"surest": leader.surest})
+        campaigns.save_progress(connection, replace(campaign, best=leader.best, baseline=leader.baseline, search=search), {})
 
     return store
 

@@ -91,8 +91,7 @@ def print_campaign(campaign: Campaign) -> None:
     if campaign.cells.requested:
         lines.append(("cells", cells_text(campaign.cells)))
         if campaign.cells.runs < campaign.cells.simulated:
-            taken = f"{campaign.cells.runs:,} started for {campaign.cells.simulated:,} simulated cells"
-            lines.append(("runs", f"{taken}: the others took runs that other campaigns made"))
+            lines.append(("runs", f"{campaign.cells.runs:,} started; other cells took runs that other campaigns made"))
     if campaign.budget is not None:
         lines.append(("search", _search_text(campaign)))
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
@@ -132,9 +131,8 @@ def _beside_text(campaign: Campaign) -> str:
     if baseline is None or baseline.objective is None or best is None or best.replicates < 2:
         return ""
     text = f" under {len(baseline.seeds)} seeds" if baseline.seeds else " under one seed"
-    if baseline.best_objective is None:
-        return text
-    return f"{text} (the best set under them: {objective_text(baseline.best_objective)})"
+    beside = baseline.best_objective
+    return text if beside is None else f"{text} (the best set under them: {objective_text(beside)})"
 
 
 def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:

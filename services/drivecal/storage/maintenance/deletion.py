@@ -12,7 +12,6 @@ from typing import Any
 
 from sqlalchemy import Connection, delete, exists, func, select, update
 
-from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import ConflictError
 from drivecal.domain.evaluations import Outcome
 from drivecal.storage import admission
@@ -74,9 +73,7 @@ def delete_campaign(connection: Connection, campaign_id: str) -> int:
     if campaign.deleted_at is not None:
         return campaign.sequence
     if not campaign.state.ended:
-        is_ending = campaign.state is CampaignState.CANCELLING or campaign.requested_action == "cancel"
-        remedy = "a dispatcher ends it soon" if is_ending else f"it is {campaign.state}: cancel it first"
-        raise ConflictError(f"{campaign_id} has not ended; {remedy}, and then it is deleted")
+        raise ConflictError(f"{campaign_id} has not ended; cancel it, and delete it when a dispatcher has ended it")
     referring = references(connection, campaign)
     if referring:
         listed = ", ".join(f"{identifier} ({use})" for identifier, use in list(referring.items())[:MOST_LISTED])

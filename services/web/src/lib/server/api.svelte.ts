@@ -1,7 +1,7 @@
 /** What the page asks the server. Every path is relative to `/api/v1`. */
 
 import type { Definitions } from "../forms/schema";
-import type { FieldProblem, ProblemDocument } from "./types";
+import type { Campaign, CampaignPage, FieldProblem, ProblemDocument } from "./types";
 
 export const ROOT = "/api/v1";
 
@@ -140,5 +140,30 @@ export class Tagged<T> {
     this.value = (await answer.json()) as T;
     this.tag = answer.headers.get("ETag"); // an answer that broke off is asked for again
     return this.value;
+  }
+}
+
+/** The campaigns of a filter as the server lists them. */
+export class CampaignList {
+  private held = new Map<string, Tagged<CampaignPage>>();
+
+  /** `path`: the request of the newest page. */
+  constructor(private readonly path: string) {}
+
+  /** Reads the newest pages: each begins where the page before ends now, and unchanged pages are not sent again. `goesOn`: the server has older campaigns. */
+  async read(pages: number): Promise<{ items: Campaign[]; goesOn: boolean }> {
+    const held = new Map<string, Tagged<CampaignPage>>();
+    const items: Campaign[] = [];
+    let cursor: string | null = null;
+    for (let number = 0; number < pages && (number === 0 || cursor !== null); number++) {
+      const path: string = cursor === null ? this.path : `${this.path}&cursor=${encodeURIComponent(cursor)}`;
+      const page: Tagged<CampaignPage> = this.held.get(path) ?? new Tagged<CampaignPage>(path);
+      held.set(path, page);
+      await page.next();
+      items.push(...(page.value?.items ?? []));
+      cursor = page.value?.next_cursor ?? null;
+    }
+    this.held = held;
+    return { items, goesOn: cursor !== null };
   }
 }

@@ -1,8 +1,7 @@
 /** One campaign as it is now: read once, moved on by what its event stream tells, read again where more than its progress changed. */
 
-import { Refusal, Tagged, all } from "./api.svelte";
-import { follow } from "./live";
-import type { Campaign, CampaignEvent, Generation } from "./types";
+import { ROOT, Refusal, Tagged, all, isReport } from "./api.svelte";
+import type { Campaign, CampaignEvent, Generation, Moving } from "./types";
 
 export const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
@@ -90,6 +89,83 @@ export class CampaignState {
       if (error instanceof Refusal && (this.campaign === null || error.status === 404)) this.problem = error;
     } finally {
       this.reading = false;
+    }
+  }
+}
+
+interface Follower {
+  event: (event: CampaignEvent) => void;
+  progress: (moving: Moving) => void;
+  /** The stream ended or broke off: what it did not tell must be requested. */
+  over: () => void;
+}
+
+const AGAIN_MILLISECONDS = 2_000;
+
+/** Follows a campaign until the returned function is called. Browsers open six connections to a server: a tab in the background has none. */
+function follow(campaign: string, follower: Follower): () => void {
+  if (isReport) return () => undefined;
+  const address = `${ROOT}/campaigns/${encodeURIComponent(campaign)}/events`;
+  let newest = 0;
+  let stream: AbortController | null = null;
+  let timer: ReturnType<typeof setTimeout> | undefined;
+
+  const take = (kind: string, data: string): void => {
+    if (kind === "progress") {
+      follower.progress(JSON.parse(data) as Moving);
+      return;
+    }
+    const event = JSON.parse(data) as CampaignEvent;
+    newest = event.id ?? newest;
+    follower.event(event);
+  };
+  const connect = async (): Promise<void> => {
+    if (stream !== null || document.hidden) return;
+    const own = (stream = new AbortController());
+    let ended = false;
+    try {
+      const answer = await fetch(address, { signal: own.signal, headers: newest > 0 ? { "Last-Event-ID": String(newest) } : {} });
+      ended = answer.status === 204;
+      if (answer.status === 200 && answer.body !== null) await read(answer.body, take);
+    } catch {
+      // left, or the server is away: other requests tell
+    }
+    if (own.signal.aborted) return;
+    stream = null;
+    follower.over();
+    if (!ended) timer = setTimeout(() => void connect(), AGAIN_MILLISECONDS);
+  };
+  const leave = (): void => {
+    clearTimeout(timer);
+    stream?.abort();
+    stream = null;
+  };
+  const seen = (): void => {
+    leave();
+    void connect();
+  };
+  document.addEventListener("visibilitychange", seen);
+  void connect();
+  return () => {
+    document.removeEventListener("visibilitychange", seen);
+    leave();
+  };
+}
+
+/** Reads an event stream to its end. */
+async function read(body: ReadableStream<Uint8Array>, take: (kind: string, data: string) => void): Promise<void> {
+  const reader = body.getReader();
+  const decoder = new TextDecoder();
+  let rest = "";
+  for (;;) {
+    const { done, value } = await reader.read();
+    if (done) return;
+    const blocks = (rest + decoder.decode(value, { stream: true })).split("\n\n");
+    rest = blocks.pop() ?? "";
+    for (const block of blocks) {
+      const fields = new Map(block.split("\n").map((line) => [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 2)]));
+      const data = fields.get("data");
+      if (data !== undefined) take(fields.get("event") ?? "", data);
     }
   }
 }

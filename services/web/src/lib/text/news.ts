@@ -5,7 +5,7 @@ import { hasFront } from "../front/sets";
 import type { Campaign, ResultTrust } from "../server/types";
 import { evidenceOf } from "./evidence";
 import { count, percent } from "./format";
-import { changeOf, gain } from "./gain";
+import { changeOf, gain } from "./scores";
 import { calibrates } from "./studies";
 
 const DAY_MILLISECONDS = 86_400_000;

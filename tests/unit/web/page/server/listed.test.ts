@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, expect, test, vi } from "vitest";
-import { CampaignList } from "$lib/server/listed";
+import { CampaignList } from "$lib/server/api.svelte";
 import type { Campaign } from "$lib/server/types";
 
 const PATH = "/campaigns?limit=2";

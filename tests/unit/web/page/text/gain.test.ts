@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { changeOf, gain, signed } from "$lib/text/gain";
+import { changeOf, gain, signed } from "$lib/text/scores";
 
 test("a gain is what is better, whichever direction that is", () => {
   expect([gain(31, 50, true), gain(6, 5, false), gain(4, 5, false), gain(6, null, false), gain(undefined, 5, true)]).toEqual([19, 1, -1, null, null]);
