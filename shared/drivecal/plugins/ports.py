@@ -94,7 +94,7 @@ class VehicleModel(Protocol):
 
     @property
     def pose(self) -> Floats:
-        """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI."""
+        """(x, y, heading, speed, side slip angle, yaw rate, accelerations along and across the course), shape (8,), SI."""
 
     def follow(self, trajectory: Floats, since: float, duration: float, dynamics: Floats) -> bool:
         """Tracks `trajectory` (as from `Planner.plan`) from `since` seconds after its start for `duration` seconds.

@@ -84,16 +84,14 @@ def frenet_motion(
 
     Args:
         line: reference line.
-        pose: as from `ports.VehicleModel`, accelerations in the vehicle's own axes.
+        pose: as from `ports.VehicleModel`.
         near: s from which the foot point is searched.
     """
     s, d, heading, _, _, curvature, bend = foot(line, pose[0], pose[1], near)
     yaw = pose[2] - heading
-    course = yaw + pose[4]
+    cosine, sine = cos(yaw + pose[4]), sin(yaw + pose[4])
     stretch = 1.0 - curvature * d
-    s_dot = pose[3] * cos(course) / stretch
-    d_dot = pose[3] * sin(course)
-    cosine, sine = cos(yaw), sin(yaw)
+    s_dot, d_dot = pose[3] * cosine / stretch, pose[3] * sine
     tangential = pose[6] * cosine - pose[7] * sine
     normal = pose[6] * sine + pose[7] * cosine
     s_dot_dot = (tangential + s_dot * (bend * s_dot * d + 2.0 * curvature * d_dot)) / stretch

@@ -166,11 +166,9 @@ def test_the_motion_is_the_domains(s: float, d: float, slip: float, speed: float
     place = np.zeros(geometry.MOTION)
     geometry.place(LINE, LANES, np.array([x, y, heading, speed, slip, 0.0, along, across]), s + 1.0, place)
     motion = place[geometry.FRENET : geometry.FRENET + 6].tolist()
-    velocity = (speed * math.cos(heading + slip), speed * math.sin(heading + slip))
-    acceleration = (
-        along * math.cos(heading) - across * math.sin(heading),
-        along * math.sin(heading) + across * math.cos(heading),
-    )
+    cosine, sine = math.cos(heading + slip), math.sin(heading + slip)
+    velocity = (speed * cosine, speed * sine)
+    acceleration = (along * cosine - across * sine, along * sine + across * cosine)
     # at a joint either is right
     here = [(x + shift * math.cos(road), y + shift * math.sin(road)) for shift in (0.0, -1e-9, 1e-9)]
     expected = [list(to_frenet(line, point, velocity, acceleration, s + 1.0)) for point in here]
