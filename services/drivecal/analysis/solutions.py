@@ -176,17 +176,16 @@ class SetJudge:
     ) -> tuple[EvaluatedSet | None, Cells]:
         """Returns a set by the means over some of its seeds, with its objective over them, and these means."""
         cells = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
-        first, values = by_seed[seeds[0]], [by_seed[seed].objective for seed in seeds]
+        first, values = by_seed[seeds[0]], list(zip(*(by_seed[seed].judgement.amounts for seed in seeds), strict=True))
         place = first.parameter_set, first.iteration, first.individual
         (solution,) = self.of_cells([place], [cells], [self.counted(runs) or [cells]])
         if solution is None:
             return None, cells
-        objective, judgement = fmean(values), solution.judgement
-        if self.level is not None:
-            objective = Aggregate("quantile", self.level)(np.array([values]), [1 / len(values)] * len(values)).item()
-        if len(judgement.amounts) == 1:
-            judgement = replace(judgement, amounts=(objective,))
-        return replace(solution, objective=objective, judgement=judgement, seeds=tuple(seeds)), cells
+        amounts = tuple(map(fmean, values))
+        if self.level is not None:  # of one objective
+            amounts = (Aggregate("quantile", self.level)(np.array(values), [1 / len(seeds)] * len(seeds)).item(),)
+        judgement = replace(solution.judgement, amounts=amounts)
+        return replace(solution, objective=amounts[0], judgement=judgement, seeds=tuple(seeds)), cells
 
     def counted(self, runs: Mapping[int, Cells]) -> list[Cells]:
         """Returns the cells of a set by seed that rates count: of the seeds that choose."""

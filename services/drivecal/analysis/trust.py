@@ -189,7 +189,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
-        yield from _chosen(chosen, search)
+        yield from _chosen(campaign, chosen, search)
         yield from _course(campaign, search)
     elif front is not None:
         yield from (*_constraints(campaign, known.bounded, " by the first objective"), *_front(campaign, front))
@@ -201,18 +201,18 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
             yield from _at_ends("the best set", campaign.best.parameters, search)
 
 
-def _chosen(chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
+def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
     """Yields constraints, origin of the scores, baseline, and values at an end of their range."""
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
         return
-    bounded = list(chosen.bounded)
+    bounded, (kept, broken) = list(chosen.bounded), _lights(campaign, is_random=chosen.is_random)
     if chosen.undecided:
         yield verdict("constraints_undecided", "amber", subject="the chosen set", bounded=bounded)
     elif chosen.violation > 0:
-        yield verdict("constraints_broken", "red", subject="The chosen set", share=chosen.violation, bounded=bounded)
+        yield verdict("constraints_broken", broken, subject="The chosen set", share=chosen.violation, bounded=bounded)
     elif bounded:
-        yield verdict("constraints_kept", "green", subject="The chosen set", bounded=bounded)
+        yield verdict("constraints_kept", kept, subject="The chosen set", bounded=bounded)
     yield from _failing("the chosen set", chosen.failed, chosen.scenarios)
     if chosen.copied:
         yield verdict("scores_copied", "amber", scenarios=list(chosen.copied))
@@ -280,19 +280,27 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("constraints_left_out", "amber", scenarios=left_out)
 
 
+def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["neutral"], Light]:
+    """Returns the lights of constraints that are kept and broken: a mean over seeds is not known exactly, and only rates count that in."""
+    exact = ("rate", "changes", "distance")
+    is_mean = not all(any(map(each.get, exact)) for each in campaign.spec.get("constraints") or ())
+    return ("neutral", "amber") if is_random and is_mean else ("green", "red")
+
+
 def _constraints(campaign: Campaign, bounded: Sequence[str], best_by: str = "") -> Iterator[ResultVerdict]:
     """Yields whether the best set keeps its constraints, and its failed runs. `bounded`: as of `Evidence`."""
     if campaign.best is None:
         return
+    kept, broken = _lights(campaign, is_random=campaign.best.replicates > 1)
     if campaign.best.undecided:
         yield verdict("constraints_undecided", "amber", subject="the best set", bounded=bounded)
     elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them
         subject = "By its runs, the best set"
-        yield verdict("constraints_broken", "red", subject=subject, share=campaign.best.violation, bounded=bounded)
+        yield verdict("constraints_broken", broken, subject=subject, share=campaign.best.violation, bounded=bounded)
     elif campaign.best.violation > 0:
         yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation, bounded=bounded)
     elif bounded:
-        yield verdict("constraints_kept", "green", subject=f"The best set{best_by}", bounded=bounded)
+        yield verdict("constraints_kept", kept, subject=f"The best set{best_by}", bounded=bounded)
     yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
 
 

@@ -190,8 +190,8 @@ class FrontObjective(Answer):
 
 
 class FrontGrowth(Answer):
-    """The front of all sets up to an `iteration`, counted from 0; -1: the sets of other campaigns. `new`: its points that the front
-    before did not have."""
+    """The front of all sets up to an `iteration`, counted from 0, without tolerances; -1: the sets of other campaigns. `new`: its points
+    that the front before did not have."""
 
     iteration: int
     size: int

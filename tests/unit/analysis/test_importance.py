@@ -25,6 +25,14 @@ def test_too_few_sets_and_equal_values_have_no_importance() -> None:
     assert importances(features, np.ones(LEAST_SETS)) is None
 
 
+def test_an_interval_leaves_out_samples_in_which_no_value_differs() -> None:
+    features = np.random.default_rng(4).uniform(size=(60, 2))
+    values = np.zeros(60)
+    values[:6] = 1.0
+    result = present(importances(features, values))
+    assert np.abs([result.lower, result.upper]).max() < 10
+
+
 def test_a_mean_of_importances_takes_their_errors_for_independent() -> None:
     mean, deviation, lower, upper = np.array(
         [[[0.5, 0.1], [0.1, 0.9]], [[0.3, 0], [0.4, 0.4]], [[0.2, 0.1], [0.1, 0.5]], [[0.9, 0.1], [0.1, 1.2]]]

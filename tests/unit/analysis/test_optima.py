@@ -1,13 +1,17 @@
 """Regions of equal optima, and the sets that share the best objective."""
 
+from decimal import Decimal
+
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.cluster.hierarchy import fcluster, linkage
 from tests.support.effort import examples
 
 from drivecal.analysis.optima import one_per_region_first, regions, to_nearest
-from drivecal.campaigns.results.optima import Alternatives
+from drivecal.campaigns.results.optima import Alternatives, beside
+from drivecal.domain.parameters import Parameter, ParameterSpace
 
 
 @given(seed=st.integers(0, 500), n=st.integers(2, 25))
@@ -36,6 +40,19 @@ def test_every_region_is_seen_before_any_is_seen_twice() -> None:
     assert one_per_region_first(labels, 3) == [0, 3, 5]
     assert one_per_region_first(labels, 5) == [0, 3, 5, 1, 2]
     assert one_per_region_first(labels, 50) == [0, 3, 5, 1, 2, 4]
+
+
+@pytest.mark.parametrize("choices", ["abcdefghijk", "acdefghijkb"])
+def test_another_choice_is_the_whole_range_away_wherever_it_is_listed(choices: str) -> None:
+    space = ParameterSpace(
+        (Parameter.from_step("gain", Decimal(0), Decimal(1), Decimal("0.1")), Parameter.choice("mode", choices))
+    )
+    grid = [(5, choices.index("a")), (5, choices.index("b")), (6, choices.index("a"))]
+    sets = [space.parameter_set(row) for row in grid]
+    known = beside(space, sets, sets[1:])
+    assert known.regions.tolist() == [0, 1, 0]
+    away = [known.shown(0, 1)[0].to_worse, *to_nearest(known.best[:1], known.best[1:2])]
+    assert away == pytest.approx([0.1 / np.sqrt(2), np.sqrt(0.5)])
 
 
 def test_slices_of_many_optima_are_those_of_all() -> None:

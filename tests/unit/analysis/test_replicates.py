@@ -256,6 +256,16 @@ def test_sets_are_compared_under_the_seeds_that_both_have() -> None:
     assert [ranking.beside_best(1, seeds) for seeds in ([], [12, 13], [14, 15])] == [None] * 3
 
 
+def test_each_objective_of_a_front_is_the_mean_over_seeds_of_the_objective_of_a_run() -> None:
+    worst = Objective("worst", CellValue(COST), {"S1": 0.5, "S2": 0.5}, Aggregate("max"), -1)
+    ranking = Ranking(worst.shares, Goals((worst, replace(worst, name="again"))), ReplicatesSpecification())
+    runs = {1: (1.0, 5.0), 2: (5.0, 1.0)}
+    for seed, scores in runs.items():
+        ranking.add(CellScore(1, name, x, x, True, 0, 0, seed=seed) for name, x in zip(("S1", "S2"), scores, strict=True))
+    (member,) = ranking.front()
+    assert member.solution.judgement.amounts == (5.0, 5.0)
+
+
 def test_intervals_of_quantiles_are_exact() -> None:
     random, usual = np.random.default_rng(1), NormalDist().inv_cdf(0.9)
     ends = [interval(random.normal(size=40).tolist(), 0.9, CONFIDENCE) for _ in range(400)]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from drivecal.analysis.optima import Optimum, regions, to_nearest
 from drivecal.analysis.solutions import EvaluatedSet
-from drivecal.domain.parameters import ParameterSpace
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.plugins.ports import Floats
 from drivecal.reduction.prediction import FeatureSpace
 from drivecal.storage.engine.database import Database
@@ -23,7 +23,7 @@ MOST_WORSE = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Alternatives:
-    """The sets that share the best objective, by rank, and the next worse sets, as points of the unit cube."""
+    """The sets that share the best objective, by rank, and the next worse sets, as points: see `beside`."""
 
     best: Floats
     worse: Floats
@@ -45,5 +45,16 @@ def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: Par
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     with database.read() as connection:
         sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
-    places = FeatureSpace(space)([sets[solution.parameter_set] for solution in (*best, *worse)])
-    return Alternatives(places[: len(best)], places[len(best) :], regions(places[: len(best)]))
+    return beside(space, *([sets[solution.parameter_set] for solution in some] for some in (best, worse)))
+
+
+def beside(space: ParameterSpace, best: Sequence[ParameterSet], worse: Sequence[ParameterSet]) -> Alternatives:
+    """Returns the best sets and worse ones as points, a root mean square of the ranges apart; another choice is the whole range away."""
+    columns = FeatureSpace(space)([*best, *worse]).T
+    parts = [
+        np.sqrt(0.5) * (column == np.unique(column)[:, np.newaxis]) if parameter.choices else column[np.newaxis]
+        for parameter, column in zip(space.searched, columns, strict=True)
+    ]
+    points = np.concatenate(parts).T
+    points *= np.sqrt(points.shape[1] / len(columns))  # distances are means over columns
+    return Alternatives(points[: len(best)], points[len(best) :], regions(points[: len(best)]))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection
 
-from drivecal.analysis.optima import one_per_region_first, regions
+from drivecal.analysis.optima import one_per_region_first
 from drivecal.analysis.robustness import Robustness, RobustnessStudy, failing_at_most, key_of
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
@@ -15,7 +15,7 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
-from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, Alternatives
+from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, beside
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exact_policy
 from drivecal.domain.campaigns import StageName
@@ -25,7 +25,6 @@ from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.rounding import levels
 from drivecal.domain.scales import plain
 from drivecal.plugins.ports import Floats
-from drivecal.reduction.prediction import FeatureSpace
 from drivecal.storage import campaigns, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -110,12 +109,9 @@ class RobustnessStage(StudyStage):
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
         listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
-        positions = FeatureSpace(self._problem.space)
-        places = positions(listed)
         others = [each for solution in worse if (each := sets[solution.parameter_set]) not in named]
-        beside = Alternatives(places, positions(others), regions(places))
-        known = beside.shown(0, len(beside))
-        chosen = one_per_region_first(beside.regions[len(named) :], self._wanted.solutions)
+        known = (placed := beside(self._problem.space, listed, others)).shown(0, len(listed))
+        chosen = one_per_region_first(placed.regions[len(named) :], self._wanted.solutions)
         return [
             Examined(listed[position], known[position].region, known[position].to_worse)
             for position in (*range(len(named)), *(len(named) + place for place in chosen))
