@@ -1,5 +1,6 @@
 """The API over real HTTP on a real SQLite file; what the dispatcher would store is stored by hand."""
 
+import asyncio
 import csv
 import io
 from typing import Any
@@ -11,6 +12,9 @@ from tests.support.server import RunningApi, problem_of
 from tests.support.values import MIDDLE
 
 from drivecal.api import expectation
+from drivecal.api.http.queries import EvaluationsOf, TableOf
+from drivecal.api.routes.tables import list_evaluations, list_generations
+from drivecal.domain.errors import NotFoundError
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
 
@@ -104,6 +108,18 @@ def test_the_rows_of_a_campaign_come_in_pages_and_whole(api: RunningApi) -> None
     parquet = pq.read_table(io.BytesIO(api.http.get(url, params={"format": "parquet"}).content))
     assert parquet.column_names == names
     assert parquet.to_pylist() == rows
+
+
+@pytest.mark.parametrize(
+    ("table", "query"), [(list_evaluations, EvaluationsOf(format="csv")), (list_generations, TableOf(format="csv"))]
+)
+def test_a_file_of_a_campaign_that_is_deleted_meanwhile_breaks_off(api: RunningApi, table: Any, query: TableOf) -> None:
+    campaign = submit(api, SMALL)
+    file = table(campaign["id"], query, api.database).body_iterator
+    api.http.post(f"/api/v1/campaigns/{campaign['id']}/cancel")
+    assert api.http.delete(f"/api/v1/campaigns/{campaign['id']}").status_code == 204
+    with pytest.raises(NotFoundError):
+        asyncio.run(anext(file))
 
 
 def test_solutions_are_ranked_by_any_weights(api: RunningApi) -> None:
@@ -215,6 +231,8 @@ def test_an_evaluation_of_all_scenarios_has_their_mean_score(api: RunningApi) ->
     assert [item["scenario"] for item in result["items"]] == ["S1", "S2", "S3", "S4", "S5", "S6"]
     assert result["objective"] == pytest.approx(15 / 6)
     assert result["outcome"] is None
+    for table in ("answers", "results"):
+        problem_of(api.http.get(f"/api/v1/campaigns/{queued['id']}/{table}"), 409)
     assert queued["id"] not in {entry["id"] for entry in api.http.get("/api/v1/campaigns?limit=1000").json()["items"]}
 
 

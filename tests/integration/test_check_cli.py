@@ -286,6 +286,7 @@ def test_a_limit_that_cannot_be_checked_is_refused_by_its_field(checking: Checki
         refused = checking(checking.file("set.json", BASELINE), "--limits", checking.file("limits.json", {"limits": [limit]}))
         assert refused.exit_code == 2
         assert field in refused.output
+    assert checking(checking.file("set.json", {"parameters": None})).exit_code == 2
     assert not checking.backend.sent
 
 

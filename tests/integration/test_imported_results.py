@@ -183,6 +183,8 @@ def test_results_that_do_not_fit_the_problem_are_refused_by_field(request: pytes
         ),
         ({"source": "house\0"}, "source"),
         ({"date": "20th of November"}, "date"),
+        ({"date": "1767225600"}, "date"),
+        ({"date": 0}, "date"),
         ({"problem": "cooler"}, "problem"),
     ]
     with serving(new_database(request, "sqlite", tmp_path)) as api:

@@ -40,7 +40,7 @@ def server(*answers: Answer) -> Iterator[tuple[Client, Script]]:
             self.end_headers()
             self.wfile.write(content)
 
-        do_GET = do_POST = reply  # noqa: N815  # the base class asks for these names
+        do_GET = do_POST = do_DELETE = reply  # noqa: N815  # the base class asks for these names
 
         def log_message(self, *_: Any) -> None:
             return None

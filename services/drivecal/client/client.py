@@ -406,8 +406,7 @@ class Client(Transport):
 
     def delete_imported(self, problem: str, source: str) -> int:
         """Deletes the results of a source from elsewhere, and returns how many cells that were."""
-        query = {"problem": problem, "source": source}
-        return self._call(ImportDeleted, "DELETE", "results", query=query).deleted
+        return self._call(ImportDeleted, "DELETE", "results", query={"problem": problem, "source": source}).deleted
 
     def evaluation(self, identifier: str) -> Evaluation:
         """Returns a single evaluation by the id that `evaluate` returned."""
@@ -500,7 +499,8 @@ class Client(Transport):
 
         Raises ConflictError while it runs, and while other campaigns refer to it.
         """
-        raise_for(self._request("DELETE", ("campaigns", identifier)), "campaign", identifier)
+        whole = identifier if len(identifier) >= 32 else self.campaign(identifier).id  # asked again, no part of it names it
+        raise_for(self._request("DELETE", ("campaigns", whole)), "campaign", whole)
 
     def report(self, identifier: str) -> bytes:
         """Returns the page with a campaign's results in it, which needs no server: one HTML file.

@@ -36,6 +36,8 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             parts = HEADER.fullmatch(header)
             name, unit = (parts["name"], parts["unit"]) if parts is not None else (header, None)
             kind, name = _kind(name, problem, str(path))
+            if kind != "scenario" and name in row[kind]:
+                raise InvalidInputError(Problem(f"{path}, {header}", f"another column is {name}, too", "leave one of them out"))
             if kind == "scenario":
                 row[kind] = str(value)
             elif kind == "parameters" and name in problem.shapes and value:
@@ -57,30 +59,22 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
 
 def _lines(path: Path) -> list[dict[str, Any]]:
     with file_faults(path, "read", "give another file"):
-        content = path.read_bytes()
-    kind = path.suffix.lower()
-    if kind == ".json":
-        try:
-            document = json.loads(content)
-        except ValueError as error:
-            raise InvalidInputError(Problem(str(path), f"no valid JSON: {error}", "correct it")) from error
-        if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
-            raise InvalidInputError(Problem(str(path), "it is no list of objects", "write an object for each set and scenario"))
-        return document
-    if kind == ".parquet":
-        from pyarrow import ArrowInvalid, parquet
+        if path.suffix.lower() == ".parquet":
+            from pyarrow import parquet
 
-        try:
-            lines: list[dict[str, Any]] = parquet.read_table(io.BytesIO(content)).to_pylist()
-        except ArrowInvalid as error:
-            raise InvalidInputError(Problem(str(path), f"no Parquet file: {error}", "give another file")) from error
-        return lines
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(Problem(str(path), f"byte {error.start} is not valid UTF-8", "save it as UTF-8")) from error
-    head = text.partition("\n")[0]
-    return list(csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=head.count), restkey="", restval=""))
+            lines: list[dict[str, Any]] = parquet.read_table(io.BytesIO(path.read_bytes())).to_pylist()
+            return lines
+        text = path.read_text("utf-8-sig")
+        if path.suffix.lower() != ".json":
+            head = text.partition("\n")[0]
+            reader = csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=head.count), restkey="", restval="")
+            if len(set(names := reader.fieldnames or ())) < len(names):
+                raise ValueError("two columns have the same name")
+            return list(reader)
+        document = json.loads(text)
+    if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
+        raise InvalidInputError(Problem(str(path), "it is no list of objects", "write an object for each set and scenario"))
+    return document
 
 
 def _kind(name: str, problem: ProblemAnswer, path: str) -> tuple[str, str]:

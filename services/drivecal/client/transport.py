@@ -264,6 +264,8 @@ class Transport:
                 # Only a connection that was never made is tried again here, so that nothing is ever done twice.
                 if attempt == ATTEMPTS_TO_CONNECT or not isinstance(error, httpx.ConnectError):
                     raise unreachable(self.url, error) from error
+            except ValueError as error:
+                raise InvalidInputError(Problem("", str(error), "give finite numbers")) from error
             time.sleep(SECONDS_TO_CONNECT * (attempt - 1))
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:

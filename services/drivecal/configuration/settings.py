@@ -124,7 +124,7 @@ class Settings(BaseSettings):
                 return values
             return {**values, "database_url": _with_password(url, Path(str(file)))}
         home = Path(str(values.get("home") or cls.model_fields["home"].default))
-        return {**values, "database_url": f"sqlite:///{home.expanduser().absolute() / 'drivecal.db'}"}
+        return {**values, "database_url": f"sqlite:///{quote(str(home.expanduser().absolute() / 'drivecal.db'))}"}
 
     @field_validator("ray_address")
     @classmethod

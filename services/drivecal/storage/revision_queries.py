@@ -1,6 +1,6 @@
 """Cheap revision and progress queries. Parses only the documents that it needs."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Any
@@ -10,7 +10,6 @@ from sqlalchemy import ColumnElement, Connection, bindparam, select
 from drivecal.contracts.campaign import Best, Progress
 from drivecal.domain.campaigns import Action, CampaignState, StageName
 from drivecal.storage.campaigns import IDS, CountsByStage, by_stage, listed
-from drivecal.storage.engine.bulk import rows_among
 from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaigns, processes
 from drivecal.storage.processes import DISPATCHER
@@ -76,16 +75,15 @@ def page(
     return [_revision(row) for row in rows]
 
 
-def revisions(connection: Connection, sequences: Collection[int]) -> dict[int, int]:
-    """The revisions of campaigns, by number."""
-    query = select(campaigns.c.sequence, campaigns.c.revision)
-    return dict(rows_among(connection, query, campaigns.c.sequence, list(sequences)))
+def revision(connection: Connection, sequence: int) -> int | None:
+    """The revision of a campaign; None if it is gone."""
+    return connection.scalar(select(campaigns.c.revision).where(campaigns.c.sequence == sequence))
 
 
-def snapshots(connection: Connection, sequences: Collection[int]) -> list[ProgressSnapshot]:
-    """Returns the progress of campaigns."""
-    rows = rows_among(connection, select(*_PROGRESS), campaigns.c.sequence, list(sequences))
-    return [record(ProgressSnapshot, row, state=CampaignState(row.state)) for row in rows]
+def snapshot(connection: Connection, sequence: int) -> ProgressSnapshot | None:
+    """Returns the progress of a campaign; None if it is gone."""
+    row = connection.execute(select(*_PROGRESS).where(campaigns.c.sequence == sequence)).one_or_none()
+    return None if row is None else record(ProgressSnapshot, row, state=CampaignState(row.state))
 
 
 def _revision(row: Any) -> CampaignRevision:

@@ -64,4 +64,4 @@ def finite_number(given: Any) -> float | None:
         value = float(given)
     except (TypeError, ValueError):
         return None
-    return value if math.isfinite(value) else None
+    return value if math.isfinite(value) and "_" not in str(given) else None  # 1_5 is 15 in Python alone

@@ -4,6 +4,7 @@ Each message states in one sentence what is wrong and, if a remedy exists, how t
 they survive pickling between processes.
 """
 
+import csv
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -138,7 +139,7 @@ def file_faults(file: object, verb: Literal["read", "written"], remedy: str) -> 
     """Raises InvalidInputError if the block cannot read or write a file, with the reason of the system."""
     try:
         yield
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError, csv.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
         raise InvalidInputError(Problem(str(file), f"it cannot be {verb}: {reason}", remedy)) from error
 

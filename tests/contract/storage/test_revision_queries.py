@@ -53,16 +53,13 @@ def test_a_page_of_glances_is_the_page_of_campaigns(database: Database) -> None:
     assert len(first) == 2
 
 
-def test_revisions_and_pulses_are_of_the_campaigns_that_are_asked_for(database: Database) -> None:
+def test_revision_and_progress_are_of_the_campaign_that_is_asked_for(database: Database) -> None:
     with database.transaction() as connection:
         one, other = campaign(connection), campaign(connection)
         campaigns.start(connection, one.sequence)
-        assert revision_queries.revisions(connection, []) == {}
-        assert revision_queries.snapshots(connection, []) == []
-        assert revision_queries.revisions(connection, [one.sequence, other.sequence, 10**6]) == {
-            one.sequence: 1,
-            other.sequence: 0,
-        }
-        (snapshot,) = revision_queries.snapshots(connection, [one.sequence])
-        whole = campaigns.get(connection, one.id)
+        asked = (one.sequence, other.sequence, 10**6)
+        assert [revision_queries.revision(connection, sequence) for sequence in asked] == [1, 0, None]
+        assert revision_queries.snapshot(connection, 10**6) is None
+        snapshot, whole = revision_queries.snapshot(connection, one.sequence), campaigns.get(connection, one.id)
+    assert snapshot is not None
     assert (snapshot.state, snapshot.started_at, snapshot.stages) == (whole.state, whole.started_at, whole.stages)

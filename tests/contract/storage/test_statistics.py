@@ -10,6 +10,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
+from drivecal.storage.maintenance.deletion import delete_campaign, remove_cells
 from drivecal.storage.maintenance.statistics import Statistics
 
 
@@ -52,6 +53,11 @@ def test_sums_are_over_all_campaigns_and_cells_wait_in_open_ones_only(database: 
     assert result.cells["calibration", "simulated"] == 10 + 200
     assert result.campaigns["calibration", "succeeded"] == 7
     assert result.pending.total() == 0
+    with database.transaction() as connection:
+        delete_campaign(connection, campaigns.by_sequence(connection, sequences[4]).id)
+    remove_cells(database, sequences[4])
+    assert look(database).cells == result.cells, "counters do not fall"
+    assert look(database).campaigns["calibration", "succeeded"] == 6
 
 
 def test_single_evaluations_are_counted_apart(database: Database) -> None:

@@ -216,6 +216,7 @@ def test_the_first_rows_of_a_long_csv_come_before_most_of_them_are_read() -> Non
         ("text/csv;q=0.5, application/json;q=0.9", "json"),
         ("text/html,application/xhtml+xml,*/*;q=0.8", "json"),
         ("text/csv;q=x, application/json", "json"),
+        ("text/csv;q=0", "json"),
         (",;q=,", "json"),
     ],
 )

@@ -1,6 +1,7 @@
 """Errors, repetitions, tokens, submissions and harmless answers of the client."""
 
 import json
+import math
 import time
 from itertools import count
 from pathlib import Path
@@ -219,6 +220,19 @@ def test_a_token_is_shown_with_every_call_and_never_told() -> None:
             with pytest.raises(NotAuthorisedError, match="may only read"):
                 client.workers()
     assert [headers.get("authorization") for _, _, headers, _ in script.requests] == [None, *["Bearer secret-0123456789"] * 2]
+
+
+def test_a_deletion_names_the_whole_id_so_that_it_can_be_asked_for_again() -> None:
+    known = campaign("succeeded")
+    with server(known, (204, {}, b"")) as (client, script):
+        client.delete("abc")
+        assert script.requests[1][1].endswith(json.loads(known[2])["id"])
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_numbers_that_json_does_not_have_are_refused(number: float) -> None:
+    with server() as (client, _), pytest.raises(InvalidInputError):
+        client.expected_runs({"weights": {"S1": number}})
 
 
 def test_an_id_cannot_leave_its_path() -> None:

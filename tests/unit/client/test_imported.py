@@ -72,7 +72,12 @@ def test_a_measure_with_the_name_of_a_parameter_has_a_prefix(tmp_path: Path) -> 
         ("rig.csv", "scenario,gain,mode,cost\n"),
         ("rig.csv", "scenario,gain,mode,cost\nwinter,0.5,eco,3,4"),
         ("rig.json", '{"scenario": "winter"}'),
+        ("rig.csv", "scenario,gain,mode,cost\nwinter,1_0,eco,3"),
+        ("rig.csv", "scenario,gain,mode,cost,cost\nwinter,0.5,eco,3,4"),
+        ("rig.csv", "scenario,gain,parameter_gain,mode,cost\nwinter,0.5,0.7,eco,3"),
+        ("rig.csv", 'scenario,gain,mode,cost\nwinter,0.5,eco,"' + 200_000 * "3"),
         ("rig.json", "[{"),
+        ("rig.json", 100_000 * "["),
         ("rig.parquet", "scenario"),
     ],
 )

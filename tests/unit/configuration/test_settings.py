@@ -2,6 +2,7 @@ import os
 from pathlib import Path
 
 import pytest
+from sqlalchemy import make_url
 
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.domain.errors import InvalidInputError
@@ -18,6 +19,7 @@ def test_the_database_lies_in_the_home_folder_unless_it_is_named(tmp_path: Path)
     assert load_settings().database_url == f"sqlite:///{tmp_path}/.drivecal/drivecal.db"
     assert load_settings(home="elsewhere").database_url == f"sqlite:///{tmp_path}/elsewhere/drivecal.db"
     assert load_settings(home="elsewhere", database_url="sqlite:///a.db").database_url == "sqlite:///a.db"
+    assert make_url(load_settings(home="what?%20x").database_url).database == f"{tmp_path}/what?%20x/drivecal.db"
 
 
 def test_flags_win_over_environment_and_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

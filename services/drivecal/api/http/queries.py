@@ -186,5 +186,7 @@ def form_of(query: FormOf, accept: str) -> Form:
     """Returns the requested format: of the query, else of the `Accept` header, else JSON."""
     if query.format is not None:
         return query.format
-    wanted = [(quality, FORMS[media_type]) for media_type, quality in qualities(accept).items() if media_type in FORMS]
+    wanted = [
+        (quality, FORMS[media_type]) for media_type, quality in qualities(accept).items() if media_type in FORMS and quality
+    ]
     return max(wanted, key=lambda choice: choice[0], default=(0.0, "json"))[1]

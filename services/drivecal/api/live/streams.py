@@ -124,10 +124,10 @@ class EventHub:
     def _read(self, sequence: int, position: int, revision: int) -> _Look:
         with self._database.read() as connection:
             heartbeat_at = revision_queries.heartbeat(connection)
-            if revision_queries.revisions(connection, [sequence]).get(sequence) == revision:
+            if revision_queries.revision(connection, sequence) == revision:
                 return _Look(heartbeat_at)
-            snapshots = revision_queries.snapshots(connection, [sequence])
-            return _Look(heartbeat_at, snapshots[0] if snapshots else None, events.since(connection, sequence, position, PAGE))
+            snapshot = revision_queries.snapshot(connection, sequence)
+            return _Look(heartbeat_at, snapshot, events.since(connection, sequence, position, PAGE))
 
 
 def _event(number: int | None, kind: str, campaign: str, at: datetime, data: Mapping[str, Any]) -> CampaignEvent:

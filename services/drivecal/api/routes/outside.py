@@ -14,6 +14,7 @@ from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import Parameters
 from drivecal.api.live.streams import EventHub
+from drivecal.api.responses import calibration
 from drivecal.api.routes.campaigns import accepted
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem
@@ -100,7 +101,7 @@ async def answers(
 
 def _answers(database: Database, campaign_id: str, after: int, limit: int) -> AnswerPage:
     with database.read() as connection:
-        campaign = campaigns.get(connection, campaign_id)
+        campaign = calibration(campaigns.get(connection, campaign_id))
         items = outside_answers.after(connection, campaign, after, limit)
     ended_by = None if campaign.search is None else campaign.search.ended_by
     is_over = campaign.state.ended or (ended_by is not None and campaign.cells.pending == 0)

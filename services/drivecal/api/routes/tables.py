@@ -54,6 +54,7 @@ def list_generations(campaign_id: str, query: TableQuery, database: DatabaseDepe
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Generation], str | None]:
         with database.read() as connection:
+            campaigns.get(connection, campaign.id)  # a file of a campaign that is deleted meanwhile breaks off
             return generations.page(connection, campaign.sequence, limit=limit, cursor=cursor)
 
     return table_answer(f"generations-{campaign.id}", query, accept, lambda: columns_of(Generation), pages)
@@ -70,6 +71,7 @@ def list_evaluations(
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
+            campaigns.get(connection, campaign.id)  # as above
             page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
             cells = {evaluation.id: evaluation.run_id for evaluation in page} if measures else {}
             stored = evaluations.measured(connection, cells)

@@ -192,7 +192,7 @@ def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[
     for campaign in chosen:
         try:
             answers[campaign] = call(campaign)
-        except (ConflictError, NotAuthorisedError) as error:
+        except (ConflictError, NotAuthorisedError, NotFoundError) as error:
             refused.append(error)
     return answers, refused
 

@@ -304,7 +304,9 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         raise typer.BadParameter("a set is read from YAML, JSON, DCM or CDFX, not from CSV")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
         document = dict(read_document(given))
-        return GivenSet(document.get("parameters", document))
+        if not isinstance(parameters := document.get("parameters", document), dict):
+            raise InvalidInputError(Problem("parameters", "they are no names with values", "give a value for each parameter"))
+        return GivenSet(parameters)
     from drivecal.calibration_data import files
     from drivecal.calibration_data.characteristics import INDEX
     from drivecal.calibration_data.sections import axis_points, joined

@@ -19,7 +19,6 @@ from drivecal.storage import campaigns as stored_campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
-    campaign_stages,
     campaigns,
     evaluations,
     events,
@@ -93,7 +92,7 @@ def remove_cells(database: Database, sequence: int) -> None:
             admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
             remove_slice(connection, sequence, range(start, start + SLICE))
     with database.transaction() as connection:
-        for table in (traces, campaign_stages, generations, lots, outside_sets, studies, events):
+        for table in (traces, generations, lots, outside_sets, studies, events):
             connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
 
 

@@ -50,7 +50,8 @@ def read(connection: Connection) -> Statistics:
     waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
     table, by_state = campaigns.c, Counter[tuple[str, str]]()
     cells, pending, seconds = Counter[tuple[str, str]](), Counter[str](), 0.0
-    query = select(table.kind, table.state, func.count(), func.sum(table.simulating_seconds)).group_by(table.kind, table.state)
+    here = func.count(case((table.deleted_at.is_(None), 1)))
+    query = select(table.kind, table.state, here, func.sum(table.simulating_seconds)).group_by(table.kind, table.state)
     for kind, state, count, simulated in connection.execute(query):
         by_state[kind, state] = count
         seconds += simulated

@@ -3,7 +3,7 @@
 from datetime import date as Date  # noqa: N812  a field has this name
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from drivecal.contracts.campaign import Answer, Score
 from drivecal.contracts.specification import DEFAULT_PROBLEM, Model, Values, VehicleSpecification
@@ -67,7 +67,7 @@ class ImportedResults(Model):
 
     problem: ProblemName
     source: Source
-    date: Annotated[Date, Field(strict=False)]
+    date: Annotated[Date, BeforeValidator(lambda given: Date.fromisoformat(given) if isinstance(given, str) else given)]
     units: Annotated[dict[Identifier, str], Field(max_length=600, default_factory=dict)]
     """Units of parameters and measures; they have to be the problem's own."""
     rows: Annotated[list[ImportedCell], Field(min_length=1, max_length=MOST_ROWS)]
