@@ -9,7 +9,6 @@ from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import dispatcher, finish, rows_of
 from tests.support.values import present
 
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
@@ -74,7 +73,7 @@ def test_the_second_objective_is_the_distance_from_a_set_of_another_campaign(dat
     first = carried_out(database, objectives=[{"score": "cost"}], **small)
     ended = carried_out(database, objectives=[{"score": "cost"}, {"distance": f"{first.id}#1"}], **small)
     assert ended.spec["objectives"][1]["distance"] == present(first.best).parameters
-    front = front_of(StoredRanking(database, ended, resolved_spec(ended)))
+    front = front_of(StoredRanking.of(database, ended))
     with pytest.raises(InvalidInputError):
         carried_out(database, objectives=[{"score": "cost"}, {"distance": f"{first.id}#best"}], **small)
     assert 0.0 in [each.solution.judgement.amounts[1] for each in front.members], "the set itself, whose cells are stored"

@@ -13,7 +13,6 @@ from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
 from drivecal.api.results.document import results_of
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.explanation import explain
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Best
@@ -88,7 +87,7 @@ def test_the_best_set_is_simulated_and_ranked_anew(confirmed: tuple[Database, St
     assert plain.best.objective in {item["objective"] for item in best}
     assert Best.model_validate(best[-1]) == campaign.best, "whoever follows the events knows it as well"
     assert (plain.notes, plain.confirmation) == ((), None)
-    stored = StoredRanking(database, campaign, resolved_spec(campaign))
+    stored = StoredRanking.of(database, campaign)
     first = stored.sets.best_first()[0]
     assert results_of(stored, place=(first.iteration, first.individual)).trust == results_of(stored).trust
 

@@ -15,7 +15,6 @@ from drivecal.api.results.document import results_of
 from drivecal.api.results.routes import setup
 from drivecal.api.routes.campaigns import read
 from drivecal.bundles.shapes import Shape, with_points
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.cli.views.output import print_results, print_solutions
 from drivecal.contracts.campaign import Campaign
@@ -81,7 +80,7 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
     ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
     assert ended.state is CampaignState.SUCCEEDED, ended.error
     with mock.patch("drivecal.storage.results.answers", wraps=answers) as reads:
-        results = results_of(StoredRanking(database, ended, resolved_spec(ended)))
+        results = results_of(StoredRanking.of(database, ended))
     assert reads.call_count == 1, "curves and variants are of one ranking"
     gain, load = results.setup.shapes["gain"], results.setup.shapes["load"]
     best, baseline = results.campaign.best, results.campaign.baseline

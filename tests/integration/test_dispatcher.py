@@ -116,7 +116,7 @@ def test_cancel_ends_the_campaign_and_keeps_what_was_finished(database: Database
     ended = _get(database, campaign)
     assert ended.state is CampaignState.CANCELLED
     assert ended.cells.simulated >= 50
-    best = present(StoredRanking(database, ended, resolved_spec(ended)).sets.best())[0]
+    best = present(StoredRanking.of(database, ended).sets.best())[0]
     assert present(ended.best).objective == best.objective  # of a generation that was not closed
     again = _run(database, submit(database))
     assert again.cells.repeated >= ended.cells.simulated

@@ -84,7 +84,7 @@ def test_one_score_in_several_scenarios_is_answered_by_references_and_confirmed(
     assert present(ended.confirmation).state == "confirmed"
     front = ranking_of(database, ended).front()
     assert not any(member.solution.reused for member in front)
-    answers = answers_of(database, ended, [member.solution for member in front])
+    answers = answers_of(StoredRanking.of(database, ended), [member.solution for member in front])
     assert "confirmed" in {answer for each in answers.values() for answer in each.values()}
     best = present(ranking_of(database, ended).best())
     assert best[0].reused == ()
@@ -103,7 +103,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     examined = [item["parameters"] for item in present(study)["items"]]
     assert len(examined) == len(front) > 1
     assert all(each.floats in examined for each in sets.values())
-    rows = front_table(database, ended, front_of(StoredRanking(database, ended, resolved_spec(ended))))
+    rows = front_table(front_of(StoredRanking.of(database, ended)))
     assert [row.degree for row in rows].count(None) == 0
 
 

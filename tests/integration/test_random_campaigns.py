@@ -27,7 +27,6 @@ from drivecal.analysis.robustness import directions, vehicles
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table, summary
 from drivecal.api.tables.ranking import variants_of
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
@@ -90,7 +89,7 @@ def test_each_variant_has_a_best_set_that_is_reported(database: Database) -> Non
     variants = {"town": {"scenarios": ["city"]}, "land": {"scenarios": ["road"]}}
     ended = carried_out(database, driven=apart, variants=variants, budget={"simulations": 120})
     assert ended.cells.runs == 120
-    rows = {each.name: each for each in variants_of(StoredRanking(database, ended, resolved_spec(ended)))}
+    rows = {each.name: each for each in variants_of(StoredRanking.of(database, ended))}
     for name, x in (("town", 0.2), ("land", 0.6)):
         best = present(rows[name].best)
         assert best.parameters["x"] == pytest.approx(x, abs=0.25)
@@ -247,7 +246,7 @@ def test_a_set_whose_failures_are_rare_enough_is_the_best(database: Database) ->
     assert 0.05 <= abs(float(kept.parameters["x"]) - 0.6) < 0.1
     assert (kept.violation, kept.undecided, kept.constraints["failures"]) == (0.0, False, 0.0)
     assert kept.constraints["failures_upper"] <= 0.2
-    rows = front_table(database, rated, front_of(StoredRanking(database, rated, resolved_spec(rated))))
+    rows = front_table(front_of(StoredRanking.of(database, rated)))
     assert {(row.violation, row.undecided, row.constraints["failures_upper"] <= 0.2) for row in rows} == {(0.0, False, True)}
 
 
@@ -256,8 +255,8 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
     names = ("city", "road")
     objectives = [{"name": name, "measure": "y", "direction": "minimise", "scenarios": [name]} for name in names]
     ended = carried_out(database, objectives=objectives, budget={"simulations": 88})
-    front = front_of(StoredRanking(database, ended, resolved_spec(ended)))
-    rows, known = front_table(database, ended, front), summary(front)
+    front = front_of(StoredRanking.of(database, ended))
+    rows, known = front_table(front), summary(front)
     for row, name in product(rows, names):
         lower, upper = (row.uncertainty[f"{name}_{end}"] for end in ("lower", "upper"))
         assert lower < true_cost(float(row.parameters["x"])) < upper
@@ -266,7 +265,7 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
     assert len(front.unbeaten) == known.close + len(front.ranks)
     single = carried_out(database, objectives=objectives, budget={"simulations": 20}, replicates={"most": 1})
     for campaign, is_unknown in ((ended, False), (single, True)):
-        verdicts = results_of(StoredRanking(database, campaign, resolved_spec(campaign))).trust.verdicts
+        verdicts = results_of(StoredRanking.of(database, campaign)).trust.verdicts
         assert ("noise_unknown" in {each.code for each in verdicts}) == is_unknown
 
 

@@ -17,7 +17,6 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.rerating import rate_stored_runs
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.campaigns.resolve.problem import resolve
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
 from drivecal.contracts.work import Cell, CellResult
@@ -181,7 +180,7 @@ def test_a_rerun_of_populations_begins_with_the_best_stored_set(
     store(database, MINE)
     first = run(database, submit_checked(database, SEARCH | asked), ComputedBackend(driven=_driven))
     again = submission.rerun(database, LIMITS, first.id, RerunSpecification(**{"weights": {}} | changes), None)
-    ranked = by and solution_pages(StoredRanking(database, first, resolved_spec(first)), *by).solutions(0, 1)
+    ranked = by and solution_pages(StoredRanking.of(database, first), *by).solutions(0, 1)
     assert again.spec["optimizer"]["start_sets"] == [row.parameters for row in ranked or ()]
 
 

@@ -17,7 +17,6 @@ from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.maps import check_basis, warnings_of
 from drivecal.campaigns.resolve.outside import indices_of
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
@@ -172,7 +171,7 @@ def _with_set(database: Database, goal: GoalSpecification, problem: str) -> Goal
             except NotFoundError:
                 return goal
             place = 1 if not mark else int(rank) if rank.isdecimal() else 0
-            ranked = solution_pages(StoredRanking(database, campaign, resolved_spec(campaign)))
+            ranked = solution_pages(StoredRanking.of(database, campaign))
             for solution in ranked.solutions(max(0, place - 1), place):
                 return goal.model_copy(update={name: solution.parameters})
     return goal

@@ -13,12 +13,12 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
-from drivecal.cli.commands import campaigns, imported, results
+from drivecal.cli.commands import campaigns
 from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.commands.results import _print
 from drivecal.cli.main import app
-from drivecal.cli.views import progress
+from drivecal.cli.views import output, progress
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
@@ -47,7 +47,7 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
     row = SimpleNamespace(**dict.fromkeys(ImportedRow.model_fields) | {"parameters": {"c1": 1.0, "c2": 2.0}})
     shape = SimpleNamespace(names=["c1", "c2"], values=lambda _: [1.0, 2.0])
     client = SimpleNamespace(imported=lambda *_: [row], problem=lambda _: SimpleNamespace(shapes={"g": shape}))
-    monkeypatch.setattr(imported, "connect", lambda _: nullcontext(client))
+    monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
     printed = CliRunner().invoke(app, ["results", "list", "p"]).stdout
     assert ("g=[" in printed, "c2=" in printed) == (True, False)
 
@@ -56,7 +56,7 @@ def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
     items = [{"parameter": key, "importance": n, "deviation": 0, "lower": n, "upper": n} for key, n in (("a", 0.1), ("b", 0.8))]
     answer = ImportanceAnswer.model_validate({"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items})
     client = SimpleNamespace(importance=lambda *_, scenario, variant: answer if (scenario, variant) == ("S1", "v") else None)
-    monkeypatch.setattr(results, "connect", lambda _: nullcontext(client))
+    monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
     lines = CliRunner().invoke(app, ["importance", "id", "--scenario", "S1", "--variant", "v"]).stdout.splitlines()
     assert [line.split()[0] for line in lines if line.startswith(("a ", "b "))] == ["b", "a"]
 
@@ -66,8 +66,8 @@ def test_a_rerun_may_have_another_budget(monkeypatch: pytest.MonkeyPatch) -> Non
     client = SimpleNamespace(
         campaign=lambda _: SimpleNamespace(id="a", spec={"budget": {"minutes": 9}}), rerun=lambda *given: asked.extend(given)
     )
-    monkeypatch.setattr(campaigns, "connect", lambda _: nullcontext(client))
-    monkeypatch.setattr(campaigns, "submitted", lambda *_: None)
+    monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
+    monkeypatch.setattr(campaigns, "submitted", lambda *_: ({}, lambda: None))
     assert CliRunner().invoke(app, ["rerun", "a", "--budget", "60"]).exit_code == 0
     assert asked == ["a", {"budget": {"minutes": 9, "simulations": 60}, "weights": {}}]
 

@@ -11,9 +11,8 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from drivecal.cli.commands import evaluate
 from drivecal.cli.main import app
-from drivecal.cli.views import progress
+from drivecal.cli.views import output, progress
 from drivecal.cli.views.progress import Bar, progress_line, show_until_ended
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CellCounts, Progress
@@ -86,7 +85,7 @@ def test_an_evaluation_and_its_time_series_have_one_time_limit(tmp_path: Path, m
     answers = iter([SimpleNamespace(id="e", state=state) for state in ("running", "running", "succeeded")])
     client = SimpleNamespace(evaluate=lambda _: next(answers), evaluation=lambda _: next(answers), trace=lambda _: None)
     monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: sum(paused), sleep=paused.append))
-    monkeypatch.setattr(evaluate, "connect", lambda _: nullcontext(client))
+    monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
     given = ["evaluate", "x=1", "--scenario", "s", "--trace", str(tmp_path / "run.csv"), "--timeout", "0.8"]
     assert CliRunner().invoke(app, given).exit_code == 6
     assert sum(paused) < 1.2

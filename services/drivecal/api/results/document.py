@@ -12,7 +12,6 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Objective
 from drivecal.analysis.savings import MapOrigin, account
-from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
 from drivecal.api.results.curves import shapes_with_good_sets
@@ -23,7 +22,7 @@ from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification
 from drivecal.campaigns.resolve.spaces import Function
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
-from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of
+from drivecal.campaigns.results.front import CampaignFront, StoredRanking, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
@@ -61,8 +60,7 @@ def results_of(
     objectives = campaign.resolution is not None and bool(campaign.spec.get("objectives")) and campaign.best is not None
     if front is None and (objectives or place is not None):
         front = front_of(stored)
-    baseline = None if front is None else baseline_of(database, campaign, front)
-    chosen = None if front is None or place is None else set_at(stored, front, place, baseline)
+    chosen = None if front is None or place is None else set_at(front, place)
     is_best = chosen is not None and campaign.best is not None and chosen.parameters == campaign.best.parameters
     if is_best and front is not None and len(front.goals.objectives) == 1 and front.goals == stored.resolved.goals:
         chosen = None  # its verdicts are the campaign's; a variant has its own
@@ -71,7 +69,7 @@ def results_of(
         setup=known,
         trust=_trust(stored, made, causes, front, chosen),
         accounting=accounting,
-        front=summary(front, baseline) if objectives and front is not None else None,
+        front=summary(front) if objectives and front is not None else None,
         failures=causes,
         variants=variants_of(stored),
         studies=made,
@@ -173,18 +171,18 @@ def _compromises(stored: StoredRanking, front: CampaignFront | None) -> Compromi
     if not campaign.state.ended:
         return Compromises(0, None)
     front = front or front_of(stored)
-    baseline = baseline_of(stored.database, campaign, front)
+    baseline = front.baseline
     copied = sum(bool(member.solution.reused) for member in front.members)
     if baseline is None:
         return Compromises(len(front.members), None, copied)
     return Compromises(len(front.members), front.dominating(baseline), copied, baseline.parameter_set in front.unbeaten)
 
 
-def set_at(stored: StoredRanking, front: CampaignFront, place: tuple[int, int], baseline: EvaluatedSet | None) -> Chosen:
-    """Returns the set at a `place` of the search, its iteration and individual, with its objectives and the `baseline` to compare with.
-    Raises NotFoundError if the search has no such place."""
-    campaign, scenario = stored.campaign, next(iter(front.goals.objectives[0].shares))
-    with stored.database.read() as connection:
+def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
+    """Returns the set at a `place` of the search, its iteration and individual, with its objectives and the objectives of the
+    baseline. Raises NotFoundError if the search has no such place."""
+    campaign, scenario, baseline = front.stored.campaign, next(iter(front.goals.objectives[0].shares)), front.baseline
+    with front.stored.database.read() as connection:
         cell = results.by_id(connection, results.number_at(connection, campaign.sequence, *place, scenario))
         is_random = evaluations.are_seeded(connection, campaign.sequence)
     parameters = cell.parameters.floats

@@ -13,11 +13,10 @@ from drivecal.api.responses import calibration
 from drivecal.api.results.document import about, results_of, setup_of, study_answer
 from drivecal.api.tables.front import bound_text, front_table
 from drivecal.api.tables.influence import importance
-from drivecal.api.tables.ranking import solution_pages
+from drivecal.api.tables.ranking import ranking_of, solution_pages
 from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import StoredRanking, front_of
+from drivecal.campaigns.results.front import front_of
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.campaign import StudyPage
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
@@ -53,17 +52,13 @@ CalibrationFileQuery = Annotated[CalibrationFileOf, Query()]
 def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependency) -> CampaignResults:
     """The results of a campaign: what was asked for, what is best, what was checked and what is doubtful, and what it cost; the verdicts
     are about its best set, or about the set at a place of its search."""
-    with database.read() as connection:
-        campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
-    return results_of(StoredRanking(database, campaign, resolved_spec(campaign)), place=query.place)
+    return results_of(ranking_of(database, campaign_id, ", which has no search"), place=query.place)
 
 
 @router.get("/setup")
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
-    with database.read() as connection:
-        campaign = calibration(campaigns.get(connection, campaign_id))
-    return setup_of(StoredRanking(database, campaign, resolved_spec(campaign)))
+    return setup_of(ranking_of(database, campaign_id))
 
 
 @router.get("/importance")
@@ -71,9 +66,8 @@ def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
 def show_importance(campaign_id: str, query: ImportanceQuery, database: DatabaseDependency) -> ImportanceAnswer:
     """Dependence of the objective, or of the score of one scenario, on each parameter, among the sets of the search, under the campaign's
     weights and score or others."""
-    with database.read() as connection:
-        campaign = calibration(campaigns.get(connection, campaign_id), ", which has no search")
-    return importance(database, campaign, resolved_spec(campaign).of_variant(query.variant), query)
+    stored = ranking_of(database, campaign_id, ", which has no search")
+    return importance(stored.under(stored.resolved.of_variant(query.variant)), query)
 
 
 @router.get("/studies")
@@ -98,9 +92,8 @@ def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: Da
     them."""
     if query.rank is not None and query.front is not None:
         raise InvalidInputError(Problem("front", "a set is of the solutions or of the front", "give set or front"))
-    with database.read() as connection:
-        stored = calibration(campaigns.get(connection, campaign_id), ", which ranks nothing")
-    whole = StoredRanking(database, stored, resolved_spec(stored))
+    whole = ranking_of(database, campaign_id, ", which ranks nothing")
+    stored = whole.campaign
     wanted = whole.under(whole.resolved.of_variant(query.variant))
     front = front_of(wanted)
     on_front = query.front is not None or (query.rank is None and len(front.goals.objectives) > 1)
@@ -109,7 +102,7 @@ def calibration_file(campaign_id: str, query: CalibrationFileQuery, database: Da
     given = None if query.weights is None else assignments(query.weights.split(","), "weights")
     field, rank = ("front", query.front or 1) if on_front else ("set", query.rank or 1)
     rows: Sequence[Solution | FrontRow] = (
-        front_table(database, stored, front, query.weights)[rank - 1 : rank]
+        front_table(front, query.weights)[rank - 1 : rank]
         if on_front
         else solution_pages(wanted, query.weights, query.score).solutions(rank - 1, rank)
     )

@@ -12,7 +12,6 @@ from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
 from drivecal.api.live.dispatcher_health import silence
 from drivecal.api.responses import ROOT, SECONDS_BETWEEN_POLLS, campaign_answer, etag, list_etag, matches
 from drivecal.api.results.curves import shapes_with_good_sets
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Campaign, CampaignPage, ExpectedRuns
 from drivecal.contracts.specification import CampaignChanges, CampaignSpecification, RerunSpecification
@@ -79,7 +78,7 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
         stored = campaigns.by_sequence(connection, seen.sequence)
     answer = campaign_answer(stored, moment, silent)
     if answer.curves and stored.state.ended:
-        for name, shape in shapes_with_good_sets(StoredRanking(database, stored, resolved_spec(stored))).items():
+        for name, shape in shapes_with_good_sets(StoredRanking.of(database, stored)).items():
             answer.curves[name]["good"] = shape.good
     return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
 

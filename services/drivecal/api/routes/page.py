@@ -63,17 +63,13 @@ class _File:
 @router.get("/")
 def start(request: Request) -> Response:
     """The page; if it was not built, a plain one with the reason and the alternatives."""
-    if not (FILES / START).is_file():
-        return _instead(FILES)
-    return _answer(request, FILES / START, "no-cache")
+    return _answer(request, FILES / START, "no-cache") if (FILES / START).is_file() else _instead(FILES)
 
 
 @router.get("/docs")
 def docs(request: Request) -> Response:
     """The documentation of the API, which asks no other host."""
-    if not (FILES / DOCS).is_file():
-        return _instead(FILES)
-    return _answer(request, FILES / DOCS, "no-cache")
+    return _answer(request, FILES / DOCS, "no-cache") if (FILES / DOCS).is_file() else _instead(FILES)
 
 
 @router.get(HELP)

@@ -13,11 +13,11 @@ from drivecal.api.responses import calibration, evaluation_row
 from drivecal.api.tables import influence
 from drivecal.api.tables.front import front_table, judged_sets, summary, weighted
 from drivecal.api.tables.paging import listed, page_or_file, slices, table_answer
-from drivecal.api.tables.ranking import solution_pages
+from drivecal.api.tables.ranking import ranking_of, solution_pages
 from drivecal.api.tables.selection import Row
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
-from drivecal.campaigns.results.front import CampaignFront, StoredRanking, baseline_of, front_of
+from drivecal.campaigns.results.front import CampaignFront, front_of
 from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.evaluation import CellNumber
 from drivecal.contracts.results import FrontSummary
@@ -109,11 +109,12 @@ def find_cell(campaign_id: str, query: CellQuery, database: DatabaseDependency) 
 @computed
 def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The evaluated parameter sets, best first, under the campaign's weights and score or others. Nothing is simulated for it."""
-    campaign = _campaign(database, campaign_id)
-    begun_with = _pinned(campaign).of_variant(query.variant)
-    ranked = solution_pages(StoredRanking(database, campaign, begun_with), query.weights, query.score)
+    stored = ranking_of(database, campaign_id, ", which ranks nothing")
+    ranked = solution_pages(stored.under(stored.resolved.of_variant(query.variant)), query.weights, query.score)
     columns = ranked_columns(Solution, ranked.scenarios, ranked.resolved)
-    return table_answer(f"solutions-{campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked)))
+    return table_answer(
+        f"solutions-{stored.campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked))
+    )
 
 
 @router.get("/optima", responses=page_or_file(OptimumRow))
@@ -121,17 +122,16 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
 def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that share the best objective, the region of the space where each lies, and how far the nearest worse set is; at
     most the first 10,000 of them."""
-    campaign = _campaign(database, campaign_id)
-    begun_with = _pinned(campaign)
-    ranked = solution_pages(StoredRanking(database, campaign, begun_with))
-    known = alternatives(database, ranked.ranked, begun_with.space)
+    stored = ranking_of(database, campaign_id, ", which ranks nothing")
+    ranked = solution_pages(stored)
+    known = alternatives(database, ranked.ranked, stored.resolved.space)
 
     def rows(start: int, stop: int) -> list[OptimumRow]:
         placed = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
         return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
 
-    columns = ranked_columns(OptimumRow, ranked.scenarios, begun_with)
-    return table_answer(f"optima-{campaign.id}", query, accept, lambda: columns, slices(rows, len(known)))
+    columns = ranked_columns(OptimumRow, ranked.scenarios, stored.resolved)
+    return table_answer(f"optima-{stored.campaign.id}", query, accept, lambda: columns, slices(rows, len(known)))
 
 
 @router.get("/influence", responses=page_or_file(InfluenceRow))
@@ -213,8 +213,8 @@ def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Co
 def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """The sets that no other evaluated set dominates, each vector of objectives once; best first objective first, or best first under
     `weights`. Without objectives of its own, a campaign's only one is the weighted score."""
-    campaign, resolved, front = _front(database, campaign_id)
-    rows = front_table(database, campaign, front, query.weights)
+    front = _front(database, campaign_id)
+    rows, resolved = front_table(front, query.weights), front.stored.resolved
     keys: dict[str, list[str] | dict[str, Kind]] = {
         "objectives": [goal.name for goal in front.goals.objectives],
         "uncertainty": list(next(iter(front.uncertainty.values()), {})),
@@ -233,22 +233,18 @@ def list_front(campaign_id: str, query: FrontQuery, database: DatabaseDependency
 def show_summary(campaign_id: str, query: SummaryQuery, database: DatabaseDependency) -> FrontSummary:
     """Objectives with their ranges on the front, ranks of its knee and extremes (under `weights`, if given), and its growth by
     iteration."""
-    campaign, _, front = _front(database, campaign_id)
-    return summary(weighted(front, query.weights)[0], baseline_of(database, campaign, front))
+    return summary(weighted(_front(database, campaign_id), query.weights)[0])
 
 
 @router.get("/front/evaluated", responses=page_or_file(JudgedSet))
 @computed
 def list_evaluated(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """All sets that have a value of every objective, dominated ones as well, in the order of the ranking."""
-    _, _, front = _front(database, campaign_id)
+    front = _front(database, campaign_id)
     rows = judged_sets(front)
     columns = columns_of(JudgedSet, {"objectives": [goal.name for goal in front.goals.objectives]})
     return listed(f"evaluated-{campaign_id}", query, accept, columns, rows)
 
 
-def _front(database: Database, campaign_id: str) -> tuple[StoredCampaign, ResolvedSpec, CampaignFront]:
-    with database.read() as connection:
-        campaign = campaigns.get(connection, campaign_id)
-    resolved = resolved_spec(calibration(campaign, ", which has no front"))
-    return campaign, resolved, front_of(StoredRanking(database, campaign, resolved))
+def _front(database: Database, campaign_id: str) -> CampaignFront:
+    return front_of(ranking_of(database, campaign_id, ", which has no front"))

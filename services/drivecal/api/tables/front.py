@@ -15,7 +15,6 @@ from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
 
@@ -28,16 +27,14 @@ def weighted(front: CampaignFront, weights: str | None) -> tuple[CampaignFront, 
     return ordered, sums.tolist()
 
 
-def front_table(
-    database: Database, campaign: StoredCampaign, front: CampaignFront, weights: str | None = None
-) -> list[FrontRow]:
+def front_table(front: CampaignFront, weights: str | None = None) -> list[FrontRow]:
     """Returns the rows of a front. Raises InvalidInputError for unusable `weights`."""
     names = [goal.name for goal in front.goals.objectives]
     front, worths = weighted(front, weights)
-    with database.read() as connection:
+    with front.stored.database.read() as connection:
         sets = parameter_sets.load(connection, [member.solution.parameter_set for member in front.members])
-        degrees = _degrees(connection, campaign)
-    winning, answers = front.winning, answers_of(database, campaign, [member.solution for member in front.members])
+        degrees = _degrees(connection, front.stored.campaign)
+    winning, answers = front.winning, answers_of(front.stored, [member.solution for member in front.members])
     rows = []
     for place, member in enumerate(front.members):
         solution, parameters = member.solution, sets[member.solution.parameter_set].floats
@@ -78,7 +75,7 @@ def judged_sets(front: CampaignFront) -> list[JudgedSet]:
     ]
 
 
-def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> FrontSummary:
+def summary(front: CampaignFront) -> FrontSummary:
     """Returns the summary of a front in its order."""
     return FrontSummary(
         objectives=[_objective(goal, column, front) for column, goal in enumerate(front.goals.objectives)],
@@ -90,7 +87,7 @@ def summary(front: CampaignFront, baseline: EvaluatedSet | None = None) -> Front
         copied=sum(bool(member.solution.reused) for member in front.members),
         knee=None if front.knee is None else front.knee + 1,
         extremes={goal.name: best + 1 for goal, best in zip(front.goals.objectives, front.extremes, strict=False)},
-        baseline=None if baseline is None else _baseline(front, baseline),
+        baseline=None if front.baseline is None else _baseline(front, front.baseline),
         growth=[FrontGrowth(iteration=number, size=size, new=new) for number, size, new in front.growth()],
     )
 

@@ -19,8 +19,6 @@ from drivecal.contracts.tables import DecidedBy, InfluenceRow
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.influence import Influence
 from drivecal.domain.parameters import Parameter
-from drivecal.storage.campaigns import StoredCampaign
-from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps, parameter_sets
 from drivecal.storage.references.influence_maps import StoredInfluenceMap
 
@@ -93,21 +91,21 @@ NEAR = (
 METHOD = f"permutation: half the loss of R² on a held-out {100 * HELD_OUT:.0f} %, by {TREES} extremely randomised trees"
 
 
-def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedSpec, query: ImportanceOf) -> ImportanceAnswer:
+def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
     """Returns the importance of each searched parameter. Raises InvalidInputError for an unknown scenario, and what `ranking` raises.
 
     Counts sets whose values are their own, by a simulation of that very set. In a scenario, given-up sets count as well. With too
     few complete sets, the importance for a weighted score is the mean of the scenarios', each by its share in the variation.
     """
     scenario = query.scenario
-    ranked = solution_pages(StoredRanking(database, campaign, resolved), query.weights, query.score)
+    ranked = solution_pages(stored, query.weights, query.score)
     if scenario is not None and scenario not in ranked.scenarios:
         problem = Problem("scenario", f"the campaign has no scenario {scenario!r}", f"one of {', '.join(ranked.scenarios)}")
         raise InvalidInputError(problem)
-    searched, known = resolved.space.searched, dict[str, Importances]()
+    searched, known = stored.resolved.space.searched, dict[str, Importances]()
 
     def of(values: Mapping[int, float]) -> Importances | None:
-        with database.read() as connection:
+        with stored.database.read() as connection:
             sets = parameter_sets.load(connection, list(values))
         rows = [[_position(parameter, sets[number].floats[parameter.name]) for parameter in searched] for number in values]
         return importances(np.array(rows).reshape(len(values), len(searched)), np.array(list(values.values())))
@@ -139,30 +137,23 @@ def importance(database: Database, campaign: StoredCampaign, resolved: ResolvedS
         scenario=scenario,
         method=METHOD,
         scenarios=list(known),
-        notes=_notes(database, campaign, resolved, scenario, items, result.r2),
+        notes=_notes(stored, scenario, items, result.r2),
         items=items,
     )
 
 
-def _notes(
-    database: Database,
-    campaign: StoredCampaign,
-    resolved: ResolvedSpec,
-    scenario: str | None,
-    items: Sequence[ParameterImportance],
-    r2: float,
-) -> list[str]:
+def _notes(stored: StoredRanking, scenario: str | None, items: Sequence[ParameterImportance], r2: float) -> list[str]:
     """Returns sentences about a weak fit, about the sets of a search, and about parameters on which importance and influence map
     disagree."""
-    notes = []
+    campaign, notes = stored.campaign, list[str]()
     if r2 < WEAK:
         notes.append(f"the forest explains {100 * max(0.0, r2):.0f} % of the held-out sets' variation: importances mean little")
     if (campaign.spec.get("optimizer") or {}).get("kind") != "random":
         notes.append(NEAR)
     if campaign.influence_map_id is None:
         return notes
-    with database.read() as connection:
-        rows = campaign_rows(influence_maps.get(connection, campaign.influence_map_id), resolved)
+    with stored.database.read() as connection:
+        rows = campaign_rows(influence_maps.get(connection, campaign.influence_map_id), stored.resolved)
     matters = {row.parameter for row in rows if row.influential and scenario in {None, row.scenario}}
     notes += [
         f"{item.parameter} matters among the sets of this search (importance {item.lower:.2g} or more), and the influence map calls it"

@@ -10,6 +10,7 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.goals import SCORE, Aggregate, CellValue, Goals, Objective, normalised, weighted_mean
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
+from drivecal.api.responses import calibration
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.fingerprints import score_id
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, specification_of
@@ -25,7 +26,7 @@ from drivecal.domain.evaluations import CellScore
 from drivecal.domain.parameters import ParameterSet
 from drivecal.domain.scales import Scale, plain
 from drivecal.domain.setups import base_of
-from drivecal.storage import results
+from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
@@ -62,6 +63,13 @@ class SolutionPages:
             )
             for rank, solution in enumerate(listed, start + 1)
         ]
+
+
+def ranking_of(database: Database, identifier: str, lacks: str = "") -> StoredRanking:
+    """Returns the ranking of a campaign by its id. Raises NotFoundError, and ConflictError as `calibration`."""
+    with database.read() as connection:
+        campaign = campaigns.get(connection, identifier)
+    return StoredRanking.of(database, calibration(campaign, lacks))
 
 
 def solution_pages(stored: StoredRanking, weights: str | None = None, score: str | None = None) -> SolutionPages:

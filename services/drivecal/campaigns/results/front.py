@@ -12,7 +12,7 @@ from drivecal.analysis import replicates
 from drivecal.analysis.front import WinningWeights, by_weights, extremes, knee, non_dominated, winning_weights
 from drivecal.analysis.goals import Goals
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
-from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec
+from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome
 from drivecal.plugins.ports import Floats
@@ -38,6 +38,11 @@ class StoredRanking:
     watermark: int | None = None
     whole: "StoredRanking | None" = None
     """A ranking with the same answers."""
+
+    @classmethod
+    def of(cls, database: Database, campaign: StoredCampaign, watermark: int | None = None) -> "StoredRanking":
+        """Returns the ranking by the campaign's own weights and goals."""
+        return cls(database, campaign, resolved_spec(campaign), watermark)
 
     @cached_property
     def answers(self) -> Sequence[CellScore]:
@@ -65,7 +70,7 @@ class StoredRanking:
 class CampaignFront:
     """All sets with every objective, by the seeds that choose, best first, and the members of the front in their order."""
 
-    goals: Goals
+    stored: StoredRanking
     ranked: Sequence[EvaluatedSet]
     members: Sequence[FrontMember]
     uncertainty: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
@@ -76,6 +81,22 @@ class CampaignFront:
     """Sets by the seeds that report them, by their ids, if others chose them and there is one objective."""
     unbeaten: frozenset[int] = frozenset()
     """Ids of the sets of a random simulator that no member is known to beat in every objective."""
+
+    @property
+    def goals(self) -> Goals:
+        """Objectives and constraints of the ranking."""
+        return self.stored.resolved.goals
+
+    @cached_property
+    def baseline(self) -> EvaluatedSet | None:
+        """The campaign's baseline, the first set of its search, as it was evaluated; None without one."""
+        campaign = self.stored.campaign
+        first = next((each for each in self.ranked if (each.iteration, each.individual) == (0, 0)), None)
+        if first is None or campaign.baseline is None:
+            return None
+        with self.stored.database.read() as connection:
+            known = parameter_sets.load(connection, [first.parameter_set])[first.parameter_set]
+        return first if known.floats == campaign.baseline.parameters else None
 
     @cached_property
     def points(self) -> Floats:
@@ -144,7 +165,7 @@ def front_of(stored: StoredRanking) -> CampaignFront:
     goals, ranking, confidence = stored.resolved.goals, stored.sets, stored.resolved.replicates.confidence
     ranked = ranking.best_first()
     reports = {each.parameter_set: each for each in ranked if each.chosen_by is not None and len(goals.objectives) == 1}
-    front = CampaignFront(goals, [each.choice for each in ranked], ranking.front(), reports=reports)
+    front = CampaignFront(stored, [each.choice for each in ranked], ranking.front(), reports=reports)
     numbers, known = ranking.by_objective()
     if not known or not front.members or not all(each.is_known for each in known):
         return front
@@ -161,12 +182,12 @@ def front_of(stored: StoredRanking) -> CampaignFront:
     return replace(front, uncertainty=uncertainty, close=len(unbeaten & rivals), unbeaten=unbeaten)
 
 
-def answers_of(database: Database, campaign: StoredCampaign, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:
+def answers_of(stored: StoredRanking, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:
     """Returns how sets were answered, by their ids and by scenario, in the words of `FrontRow.answers`."""
     cells: dict[tuple[int, str], list[Outcome]] = {}
-    with database.read() as connection:
+    with stored.database.read() as connection:
         numbers = [solution.parameter_set for solution in sets]
-        for number, scenario, outcome in results.outcomes_of(connection, campaign.sequence, numbers):
+        for number, scenario, outcome in results.outcomes_of(connection, stored.campaign.sequence, numbers):
             cells.setdefault((number, scenario), []).append(outcome)
     return {
         solution.parameter_set: {
@@ -184,13 +205,3 @@ def _answer(outcomes: Sequence[Outcome], *, copied: bool) -> str:
     if not own:
         return "stored"
     return "confirmed" if outcomes[0] in {Outcome.REUSED, Outcome.PREDICTED} and own[0] is Outcome.SIMULATED else own[0]
-
-
-def baseline_of(database: Database, campaign: StoredCampaign, front: CampaignFront) -> EvaluatedSet | None:
-    """Returns the campaign's baseline, the first set of its search, as it was evaluated; None without one."""
-    first = next((each for each in front.ranked if (each.iteration, each.individual) == (0, 0)), None)
-    if first is None or campaign.baseline is None:
-        return None
-    with database.read() as connection:
-        stored = parameter_sets.load(connection, [first.parameter_set])[first.parameter_set]
-    return first if stored.floats == campaign.baseline.parameters else None

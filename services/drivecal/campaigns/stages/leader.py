@@ -8,7 +8,6 @@ from sqlalchemy import Connection
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
-from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Baseline, Best
 from drivecal.domain.events import EventKind
@@ -21,7 +20,7 @@ from drivecal.storage.references import parameter_sets
 
 def best_of_all(database: Database, campaign: StoredCampaign, problem: CalibrationProblem) -> Callable[[Connection], None]:
     """Returns what stores the best set of all answers of a search that ends early, with rounds that were not closed."""
-    ranking = StoredRanking(database, campaign, resolved_spec(campaign), watermark=0).sets  # as the search sees them
+    ranking = StoredRanking.of(database, campaign, watermark=0).sets  # as the search sees them
     ranking.best_first()  # reads and ranks before the transaction
 
     def store(connection: Connection) -> None:

@@ -5,22 +5,13 @@ from typing import Annotated, TypeVar, get_args
 
 import typer
 
-from drivecal.cli.application import (
-    COMMANDS,
-    CampaignArgument,
-    ExitCode,
-    JsonOption,
-    UrlOption,
-    app,
-    code_of_state,
-    connect,
-    say,
-)
+from drivecal.cli.application import COMMANDS, CampaignArgument, ExitCode, app, code_of_state, complain, exit_code, say
 from drivecal.cli.views.output import (
-    print_answer,
+    Asked,
+    Show,
+    asking,
     print_campaign,
     print_evaluation,
-    print_json,
     print_pace,
     print_page,
     print_results,
@@ -48,25 +39,27 @@ DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Check the file an
 
 
 @app.command()
+@asking
 def submit(
+    client: Client,
     file: Annotated[str, typer.Argument(metavar="FILE", help="A campaign file, YAML or JSON; - is standard input.")],
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
     dry_run: DryRunOption = False,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Submit a campaign."""
     refuse_ignored(wait, timeout, dry_run=dry_run)
-    with connect(url) as client, opened_document(file) as specification:
-        if dry_run:
-            print_answer(client.expected_runs(specification), as_json, _print_expected)
-        else:
-            submitted(client, client.submit(specification), wait, timeout, as_json)
+    with opened_document(file) as specification:
+        if not dry_run:
+            return submitted(client, client.submit(specification), wait, timeout)
+        expected = client.expected_runs(specification)
+        return expected, lambda: _print_expected(expected)
 
 
 @app.command()
+@asking
 def rerun(
+    client: Client,
     identifier: CampaignArgument,
     weights: Annotated[
         str | None, typer.Option(metavar="S1=2,S2=1", help="The new weights; a scenario that is not named has weight 1.")
@@ -80,76 +73,64 @@ def rerun(
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Run an ended campaign again with other weights or another evaluator, on the stored results."""
     if weights is None and evaluator is None and problem is None and budget is None:
         raise typer.BadParameter("say what changes: --weights, --evaluator, --problem or --budget")
     refuse_ignored(wait, timeout)
     given = {"name": name, "evaluator": evaluator, "problem": problem}
     changes: dict[str, object] = {key: value for key, value in given.items() if value is not None}
-    with connect(url) as client:
-        first = client.campaign(identifier)
-        spec = first.spec
-        changes["weights"] = spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
-        if budget is not None:  # its other ends stay
-            changes["budget"] = {**(spec.get("budget") or {}), "simulations": budget}
-        submitted(client, client.rerun(first.id, changes), wait, timeout, as_json)
+    first = client.campaign(identifier)
+    spec = first.spec
+    changes["weights"] = spec.get("weights", {}) if weights is None else assignments(weights.split(","), "--weights")
+    if budget is not None:  # its other ends stay
+        changes["budget"] = {**(spec.get("budget") or {}), "simulations": budget}
+    return submitted(client, client.rerun(first.id, changes), wait, timeout)
 
 
 @app.command("list")
+@asking
 def list_campaigns(
+    client: Client,
     state: Annotated[CampaignState | None, typer.Option(help="Only campaigns in this state.")] = None,
     tags: Annotated[list[str] | None, typer.Option("--tag", help="Only campaigns with this tag; repeated: with all.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """List campaigns, newest first."""
-    with connect(url) as client:
-        page = client.campaigns(state=state, limit=limit, tags=tags or ())
+    page = client.campaigns(state=state, limit=limit, tags=tags or ())
     header = ["id", "state", "kind", "created", "requested", "simulated", "saved", "best", "owner", "tags", "name"]
-    print_page(page, as_json, header, [_row(campaign) for campaign in page.items], limit)
+    return page, lambda: print_page(page, header, [_row(campaign) for campaign in page.items], limit)
 
 
 @app.command()
-def show(identifier: CampaignArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+@asking
+def show(client: Client, identifier: CampaignArgument) -> Asked:
     """Show one campaign, or a single evaluation by its whole id."""
-    with connect(url) as client:
-        _print_whole(client, client.campaign(identifier), as_json)
+    return _whole(client, client.campaign(identifier))
 
 
 @app.command()
-def watch(
-    identifier: CampaignArgument, timeout: TimeoutOption = None, url: UrlOption = None, as_json: JsonOption = False
-) -> None:
+@asking
+def watch(client: Client, identifier: CampaignArgument, timeout: TimeoutOption = None) -> Asked:
     """Follow a campaign until it has ended. Ctrl-C detaches and cancels nothing."""
-    with connect(url) as client:
-        campaign = follow(client, client.campaign(identifier).id, timeout, from_beginning=False)
-        _print_whole(client, campaign, as_json)
-    raise typer.Exit(code_of_state(campaign.state))
+    campaign = follow(client, client.campaign(identifier).id, timeout, from_beginning=False)
+    return *_whole(client, campaign), code_of_state(campaign.state)
 
 
 def _steering(action: Action) -> None:
     """Adds the command that asks for an action."""
 
     @app.command(action, help=COMMANDS[action][1])
-    def steer(
-        identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False
-    ) -> None:
-        with connect(url) as client:
-            chosen = _chosen(client, identifier, tag)
-            if identifier is not None:
-                _print_whole(client, client.act(chosen[0].id, action), as_json)
-                return
-            open_ones = [campaign.id for campaign in chosen if not CampaignState(campaign.state).ended]
-            changed, refused = _each(open_ones, lambda campaign: client.act(campaign, action))
-            ended = len(chosen) - len(open_ones)
-            say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
-            if as_json:
-                print_json(list(changed.values()))
-            _raise(refused)
+    @asking
+    def steer(client: Client, identifier: MaybeCampaign = None, tag: TagOption = None) -> Asked:
+        chosen = _chosen(client, identifier, tag)
+        if identifier is not None:
+            return _whole(client, client.act(chosen[0].id, action))
+        open_ones = [campaign.id for campaign in chosen if not CampaignState(campaign.state).ended]
+        changed, refused = _each(open_ones, lambda campaign: client.act(campaign, action))
+        ended = len(chosen) - len(open_ones)
+        say(f"asked {len(changed)} of {len(chosen)} campaigns to {action}; {ended} have ended, {len(refused)} refuse")
+        return list(changed.values()), lambda: None, _code_of(refused)
 
 
 for _action in get_args(Action):
@@ -157,32 +138,28 @@ for _action in get_args(Action):
 
 
 @app.command()
+@asking
 def label(
+    client: Client,
     identifier: CampaignArgument,
     name: Annotated[str | None, typer.Option(help="Another name.")] = None,
     tags: Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Add a tag; may be repeated.")] = None,
     untag: Annotated[list[str] | None, typer.Option(metavar="TAG", help="Take a tag away; may be repeated.")] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Change a campaign's name or tags."""
     if not (name or tags or untag):
         raise typer.BadParameter("say what changes: --name, --tag or --untag")
-    with connect(url) as client:
-        changed = client.label(identifier, name=name, add_tags=tags, remove_tags=untag)
-    print_answer(changed, as_json, lambda it: typer.echo(f"campaign {it.id}  {it.name}\ntags     {' '.join(it.tags) or '-'}"))
+    it = client.label(identifier, name=name, add_tags=tags, remove_tags=untag)
+    return it, lambda: typer.echo(f"campaign {it.id}  {it.name}\ntags     {' '.join(it.tags) or '-'}")
 
 
 @app.command()
-def delete(identifier: MaybeCampaign = None, tag: TagOption = None, url: UrlOption = None, as_json: JsonOption = False) -> None:
+@asking
+def delete(client: Client, identifier: MaybeCampaign = None, tag: TagOption = None) -> Asked:
     """Delete an ended campaign to which no other refers. What it simulated stays in the reference table."""
-    with connect(url) as client:
-        deleted, refused = _each([campaign.id for campaign in _chosen(client, identifier, tag)], client.delete)
-    if as_json:
-        print_json({"deleted": list(deleted)})
-    for campaign in () if as_json else deleted:
-        typer.echo(f"campaign {campaign} is deleted; what it simulated stays in the reference table")
-    _raise(refused)
+    deleted, refused = _each([campaign.id for campaign in _chosen(client, identifier, tag)], client.delete)
+    text = "".join(f"campaign {campaign} is deleted; what it simulated stays in the reference table\n" for campaign in deleted)
+    return {"deleted": list(deleted)}, lambda: typer.echo(text, nl=False), _code_of(refused)
 
 
 def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[str, Answered], list[DrivecalError]]:
@@ -197,12 +174,11 @@ def _each(chosen: Iterable[str], call: Callable[[str], Answered]) -> tuple[dict[
     return answers, refused
 
 
-def _raise(refused: Sequence[DrivecalError]) -> None:
-    """Says all refusals but the first, which it raises."""
-    for other in refused[1:]:
-        say(str(other))
-    if refused:
-        raise refused[0]
+def _code_of(refused: Sequence[DrivecalError]) -> ExitCode:
+    """Says all refusals, and returns the exit status of the first."""
+    for error in refused:
+        complain(error)
+    return exit_code(refused[0]) if refused else ExitCode.OK
 
 
 def _chosen(client: Client, identifier: str | None, tag: str | None) -> list[Campaign]:
@@ -228,32 +204,29 @@ def refuse_ignored(wait: bool, timeout: float | None, *, dry_run: bool = False) 
         raise typer.BadParameter("--timeout needs --wait")
 
 
-def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None, as_json: bool) -> None:
-    """Shows a new campaign, with `wait` at its end, and ends the command with the matching exit status."""
-    code = ExitCode.OK
+def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | None) -> Asked:
+    """Returns a new campaign, with `wait` at its end and with the matching exit status."""
     if wait:
         say(f"campaign {campaign.id} is queued")
         campaign = follow(client, campaign.id, timeout)
-        code = code_of_state(campaign.state)
-    elif not as_json:
-        say(f"queued; follow it with `drivecal watch {campaign.id}`")
-    _print_whole(client, campaign, as_json)
-    raise typer.Exit(code)
+        return *_whole(client, campaign), code_of_state(campaign.state)
+    return _whole(client, campaign, f"queued; follow it with `drivecal watch {campaign.id}`")
 
 
-def _print_whole(client: Client, campaign: Campaign, as_json: bool) -> None:
-    """Prints a campaign with its results; a single evaluation as `evaluate` does."""
+def _whole(client: Client, campaign: Campaign, said: str = "") -> tuple[object, Show]:
+    """Returns a campaign with its results; a single evaluation as `evaluate` does. `said`: stands before it, without --json."""
     if campaign.kind == "evaluation":
-        shapes = {} if as_json else client.problem(campaign.spec["problem"]).shapes
-        print_answer(client.evaluation(campaign.id), as_json, lambda evaluation: print_evaluation(evaluation, shapes))
-        return
+        evaluation = client.evaluation(campaign.id)
+        return evaluation, lambda: print_evaluation(evaluation, client.problem(campaign.spec["problem"]).shapes)
     results = client.results(campaign.id)
-    if as_json:
-        known = results.model_dump(mode="json", exclude={"campaign"})
-        print_json(campaign.model_dump(mode="json") | known)
-        return
-    print_campaign(campaign)
-    print_results(results)
+
+    def show() -> None:
+        if said:
+            say(said)
+        print_campaign(campaign)
+        print_results(results)
+
+    return campaign.model_dump(mode="json") | results.model_dump(mode="json", exclude={"campaign"}), show
 
 
 def _print_expected(expected: ExpectedRuns) -> None:

@@ -13,9 +13,9 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 from pydantic import Field, model_validator
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
+from drivecal.cli.application import ExitCode, app, code_of_state, say
 from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, VehicleOption, ended
-from drivecal.cli.views.output import print_columns, print_json, within_text
+from drivecal.cli.views.output import Asked, asking, print_columns, within_text
 from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
 from drivecal.configuration.documents import read_document
@@ -214,7 +214,9 @@ def _half_width(cell: EvaluatedCell, before: EvaluatedCell) -> float:
 
 
 @app.command()
+@asking
 def check(
+    client: Client,
     chosen: Annotated[str, typer.Argument(metavar="SET", help="A JSON, YAML, DCM or CDFX file, or ID#RANK of a campaign.")],
     problem: Annotated[str | None, typer.Option(help="The problem; by default the campaign's, or highway.")] = None,
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
@@ -227,41 +229,38 @@ def check(
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the findings as JUnit XML.")] = None,
     summary: Annotated[Path | None, typer.Option(metavar="FILE", help="Append a summary in Markdown.")] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Check whether a set keeps its limits in every scenario; exit status 1 if not, and if its runs do not tell. Only what changed is
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
     wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
     if names is not None and not any(Path(given).suffix.lower() in CALIBRATION_FILES for given in (chosen, baseline or "")):
         raise typer.BadParameter("only DCM and CDFX files have labels", param_hint="--names")
-    with connect(url) as client:
-        given = _set(client, chosen, names, variant)
-        parameters, spec, reported = given.parameters, given.spec, given.seeds
-        known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
-        # another push may have other scenarios, but a variant names its own
-        copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
-        settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
-        settings["vehicle"] = _vehicle(settings, differing)
-        first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
-        settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
-        listed = settings.get("catalogue") or known.scenarios
-        _refuse_another_form(given, known)
-        own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed, rates=seeds is not None)
-        _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
-        wanted = [*own_limits, *wanted]
-        evaluators = _evaluators(known, spec.get("evaluator"), wanted)
-        own = parameters if spec and problem is None else known.parameters  # a driving function has its own
-        wait = partial(ended, client, timeout=timeout, asking=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
-        compared: dict[str, Evaluation] = {}
-        if baseline is not None:
-            before = _set(client, baseline, names)
-            _refuse_another_form(before, known)
-            values = _values(before.parameters, own, known.shapes)
-            compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
-        document = settings | {"parameters": _values(parameters, own, known.shapes)}
-        checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known, unchecked)
+    given = _set(client, chosen, names, variant)
+    parameters, spec, reported = given.parameters, given.spec, given.seeds
+    known = client.problem(problem or spec.get("problem", DEFAULT_PROBLEM))
+    # another push may have other scenarios, but a variant names its own
+    copied = DECIDING if variant or problem is None else DECIDING - {"catalogue"}
+    settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
+    settings["vehicle"] = _vehicle(settings, differing)
+    first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
+    settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
+    listed = settings.get("catalogue") or known.scenarios
+    _refuse_another_form(given, known)
+    own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed, rates=seeds is not None)
+    _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
+    wanted = [*own_limits, *wanted]
+    evaluators = _evaluators(known, spec.get("evaluator"), wanted)
+    own = parameters if spec and problem is None else known.parameters  # a driving function has its own
+    wait = partial(ended, client, timeout=timeout, waiting=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
+    compared: dict[str, Evaluation] = {}
+    if baseline is not None:
+        before = _set(client, baseline, names)
+        _refuse_another_form(before, known)
+        values = _values(before.parameters, own, known.shapes)
+        compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
+    document = settings | {"parameters": _values(parameters, own, known.shapes)}
+    checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known, unchecked)
     findings, label = list(checked.findings(wanted)), chosen if variant is None else f"{chosen} for {variant}"
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -270,9 +269,8 @@ def check(
         with file_faults(summary, "written", "give another file"), summary.open("a", encoding="utf-8") as stream:
             stream.write(_markdown(label, checked, findings))
     broken = [finding for finding in findings if finding.broken is not None]
-    if as_json:
-        print_json(_document(checked, findings))
-    else:
+
+    def show() -> None:
         columns = [name for name in COLUMNS if name not in INTERVAL or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
@@ -281,7 +279,8 @@ def check(
             say(f"note: {note}")
         for finding in broken:
             say(f"{finding.scenario}: {finding.limit}: {finding.broken}")
-    raise typer.Exit(ExitCode.FAILED if broken else ExitCode.OK)
+
+    return _document(checked, findings), show, ExitCode.FAILED if broken else ExitCode.OK
 
 
 def _set(client: Client, given: str, names: str | None, variant: str | None = None) -> GivenSet:

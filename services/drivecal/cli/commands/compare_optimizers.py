@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, code_of_state, connect, say
+from drivecal.cli.application import ExitCode, app, code_of_state, say
 from drivecal.cli.commands.campaigns import DryRunOption, TimeoutOption, refuse_ignored
-from drivecal.cli.views.output import print_answer, print_columns, print_pace
+from drivecal.cli.views.output import Asked, asking, print_columns, print_pace
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.cli.views.sections import fixed, objective_number
 from drivecal.client.client import Client
@@ -18,36 +18,35 @@ SECONDS_BETWEEN_LOOKS = 2.0
 
 
 @app.command("compare-optimizers")
+@asking
 def compare_optimizers(
+    client: Client,
     file: Annotated[str | None, typer.Argument(metavar="FILE", help="A comparison, YAML or JSON; - is standard input.")] = None,
     tag: Annotated[str | None, typer.Option(metavar="TAG", help="Compare the campaigns with this tag instead.")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait until all campaigns have ended.")] = False,
     timeout: TimeoutOption = None,
     dry_run: DryRunOption = False,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Calibrate one problem with several optimizers, populations, seeds and reductions, and compare the results."""
     if (file is None) == (tag is None):
         raise typer.BadParameter("give a FILE, or --tag TAG of campaigns that are there")
     if dry_run and file is None:
         raise typer.BadParameter("--dry-run needs a FILE")
     refuse_ignored(wait, timeout, dry_run=dry_run)
-    with connect(url) as client:
-        if file is None:
-            comparison = client.comparison(tag or "")
-        else:
-            with opened_document(file) as specification:
-                if dry_run:
-                    print_answer(client.expected_comparison(specification), as_json, _print_expected)
-                    return
-                comparison = client.compare(specification)
-            say(f"{len(comparison.runs)} campaigns are queued; see `drivecal compare-optimizers --tag {comparison.tag}`")
-        if wait:
-            comparison = _wait_for(client, comparison, timeout)
-    print_answer(comparison, as_json, _print_comparison)
-    if wait:  # failed campaigns count before cancelled ones
-        raise typer.Exit(min({code_of_state(run.state) for run in comparison.runs} - {ExitCode.OK}, default=ExitCode.OK))
+    if file is None:
+        comparison = client.comparison(tag or "")
+    else:
+        with opened_document(file) as specification:
+            if dry_run:
+                expected = client.expected_comparison(specification)
+                return expected, lambda: _print_expected(expected)
+            comparison = client.compare(specification)
+        say(f"{len(comparison.runs)} campaigns are queued; see `drivecal compare-optimizers --tag {comparison.tag}`")
+    if wait:
+        comparison = _wait_for(client, comparison, timeout)
+    codes = {code_of_state(run.state) for run in comparison.runs if wait} - {ExitCode.OK}
+    # failed campaigns count before cancelled ones
+    return comparison, lambda: _print_comparison(comparison), min(codes, default=ExitCode.OK)
 
 
 def _wait_for(client: Client, comparison: Comparison, timeout: float | None) -> Comparison:

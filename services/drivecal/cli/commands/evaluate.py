@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_evaluation, told
+from drivecal.cli.application import CampaignArgument, app, code_of_state, say
+from drivecal.cli.views.output import Asked, asking, parameters_text, print_columns, print_evaluation, told
 from drivecal.cli.views.progress import attached, pauses
 from drivecal.client.client import Client
 from drivecal.contracts.assignments import assignments, settings
@@ -31,7 +31,9 @@ VehicleOption = Annotated[str | None, typer.Option(metavar="NAME=VALUE,...", hel
 
 
 @app.command()
+@asking
 def evaluate(
+    client: Client,
     parameters: Annotated[list[str], typer.Argument(metavar="P1=VALUE...", help="One value for each parameter.")],
     scenario: Annotated[str | None, typer.Option(help="One scenario; else all.")] = None,
     problem: Annotated[str, typer.Option(help="highway, or the name or digest of a pushed problem.")] = DEFAULT_PROBLEM,
@@ -48,9 +50,7 @@ def evaluate(
         typer.Option(help="Write the run's time series there: .csv or .parquet (one row per step), .json (all of it)."),
     ] = None,
     timeout: Annotated[float | None, typer.Option(min=0, help="Seconds to wait at most; then exit status 6.")] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Simulate one parameter set and show its scores, with several seeds their means and 95 % intervals. Values may lie off the grid; a
     note names them."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
@@ -67,56 +67,51 @@ def evaluate(
         specification["scenario"] = scenario
     if trace is not None and (scenario is None or (seeds or 1) > 1 or trace.suffix not in SUFFIXES):
         raise typer.BadParameter(f"--trace needs one --scenario, one seed, and a file that ends in {', '.join(SUFFIXES)}")
-    with connect(url) as client:
-        queued = client.evaluate(specification)
-        say(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
-        asking = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
-        evaluation = ended(client, queued, timeout, asking)
-        if trace is not None:
-            save_series(trace_of(client, evaluation.id, timeout, asking), trace)
-            say(f"time series: {trace}")
-        shapes = {} if as_json else client.problem(problem).shapes
-    print_answer(evaluation, as_json, lambda evaluation: print_evaluation(evaluation, shapes))
-    raise typer.Exit(code_of_state(evaluation.state))
+    queued = client.evaluate(specification)
+    say(f"evaluation {queued.id} is queued; `drivecal show {queued.id}` prints it as well")
+    waiting = pauses(SECONDS_BETWEEN_QUESTIONS, timeout)
+    evaluation = ended(client, queued, timeout, waiting)
+    if trace is not None:
+        save_series(trace_of(client, evaluation.id, timeout, waiting), trace)
+        say(f"time series: {trace}")
+    return (evaluation, lambda: print_evaluation(evaluation, client.problem(problem).shapes), code_of_state(evaluation.state))
 
 
-def ended(client: Client, evaluation: Evaluation, timeout: float | None, asking: Iterator[None]) -> Evaluation:
-    """Returns an evaluation when it has ended. Raises WaitTimedOutError when `asking`, the `pauses` of a command, end after `timeout`
+def ended(client: Client, evaluation: Evaluation, timeout: float | None, waiting: Iterator[None]) -> Evaluation:
+    """Returns an evaluation when it has ended. Raises WaitTimedOutError when `waiting`, the `pauses` of a command, end after `timeout`
     seconds."""
     goes_on = f"evaluation {evaluation.id} goes on; `drivecal show {evaluation.id}` prints it, `drivecal cancel {evaluation.id}` ends it"
     with attached(goes_on, timeout):
         while not CampaignState(evaluation.state).ended:
-            next(asking)
+            next(waiting)
             evaluation = client.evaluation(evaluation.id)
     return evaluation
 
 
-def trace_of(client: Client, evaluation: str, timeout: float | None, asking: Iterator[None]) -> SeriesAnswer:
+def trace_of(client: Client, evaluation: str, timeout: float | None, waiting: Iterator[None]) -> SeriesAnswer:
     """Returns the time series of an evaluation, for which the server simulates it again. Raises as `ended`."""
     with attached(f"the time series of evaluation {evaluation} are still being made; ask again", timeout):
         while (trace := client.trace(evaluation)) is None:
-            next(asking)
+            next(waiting)
     return trace
 
 
 @app.command()
+@asking
 def explain(
+    client: Client,
     identifier: CampaignArgument,
     evaluation: Annotated[
         str, typer.Argument(metavar="EVALUATION", help="The number of a cell: the column `id` of the table `evaluations`.")
     ],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Explain why a cell was answered without a simulation, or why it was not."""
-    with connect(url) as client:
-        campaign = client.campaign(identifier).id
-        explanation = client.explanation(evaluation)
-        shapes = {} if as_json else client.setup(campaign).shapes
+    campaign = client.campaign(identifier).id
+    explanation = client.explanation(evaluation)
     if explanation.campaign != campaign:
         cell = f"evaluation of campaign {campaign} with the number"
         raise NotFoundError(cell, str(evaluation), f"campaign {explanation.campaign} has it")
-    print_answer(explanation, as_json, lambda explanation: print_explanation(explanation, shapes))
+    return explanation, lambda: print_explanation(explanation, client.setup(campaign).shapes)
 
 
 def print_explanation(explanation: Explanation, shapes: Mapping[str, ShapeAnswer]) -> None:

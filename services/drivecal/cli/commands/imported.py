@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, say
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json
+from drivecal.cli.application import app, say
+from drivecal.cli.views.output import Asked, asking, parameters_text, print_columns
+from drivecal.client.client import Client
 
 results = typer.Typer(no_args_is_help=True, help="Results of vehicles, test benches and tools, compared with simulations.")
 app.add_typer(results, name="results")
@@ -16,40 +17,35 @@ ProblemArgument = Annotated[str, typer.Argument(metavar="PROBLEM", help="Name of
 
 
 @results.command(name="import")
+@asking
 def import_(
+    client: Client,
     file: Annotated[str, typer.Argument(metavar="FILE", help="CSV, Parquet or JSON: scenario, parameters, scores, measures.")],
     problem: Annotated[str, typer.Option(help="Name of the problem.")],
     source: Annotated[str, typer.Option(help="Name of the vehicle, test bench or tool.")],
     date: Annotated[str, typer.Option(metavar="YYYY-MM-DD", help="Day of the results.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Store results from elsewhere. No campaign takes one in place of a simulation."""
     from drivecal.client.imported import read_results
 
-    with connect(url) as client:
-        known = client.problem(problem)
-        rows, units = read_results(Path(file), known)
-        warnings.showwarning = lambda message, *_: say(f"note: {message}")
-        stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
+    known = client.problem(problem)
+    rows, units = read_results(Path(file), known)
+    warnings.showwarning = lambda message, *_: say(f"note: {message}")
+    stored = client.import_results(rows, problem=known.name, source=source, date=date, units=units)
     text = f"{stored:,} of {len(rows):,} cells are new; compare them: drivecal results list {known.name}"
-    print_answer({"stored": stored, "known": len(rows) - stored}, as_json, lambda _: say(text))
+    return {"stored": stored, "known": len(rows) - stored}, lambda: say(text)
 
 
 @results.command(name="list")
+@asking
 def list_(
-    problem: ProblemArgument,
-    source: Annotated[str | None, typer.Option(help="Only this source.")] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+    client: Client, problem: ProblemArgument, source: Annotated[str | None, typer.Option(help="Only this source.")] = None
+) -> Asked:
     """List results from elsewhere, the stored simulations of the same sets, and the differences."""
-    with connect(url) as client:
-        rows = client.imported(problem, source)
-        shapes = {} if as_json else client.problem(problem).shapes
-    if as_json:
-        print_json(rows)
-    else:
+    rows = client.imported(problem, source)
+
+    def show() -> None:
+        shapes = client.problem(problem).shapes
         header = ["source", "date", "scenario", "name", "value", "simulated", "difference", "unit", "parameters"]
         lines: list[list[object]] = []
         for row in rows:  # a set of an earlier push may lack coefficients
@@ -58,15 +54,16 @@ def list_(
             lines.append([text if name == "parameters" else getattr(row, name) for name in header])
         print_columns(header, lines)
 
+    return rows, show
+
 
 @results.command()
+@asking
 def delete(
+    client: Client,
     problem: ProblemArgument,
     source: Annotated[str, typer.Argument(metavar="SOURCE", help="Name of the vehicle, test bench or tool.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Delete the results of a source."""
-    with connect(url) as client:
-        deleted = client.delete_imported(problem, source)
-    print_answer({"deleted": deleted}, as_json, lambda _: say(f"{deleted:,} cells are deleted"))
+    deleted = client.delete_imported(problem, source)
+    return {"deleted": deleted}, lambda: say(f"{deleted:,} cells are deleted")

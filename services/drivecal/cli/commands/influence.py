@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect
-from drivecal.cli.views.output import print_answer, print_columns, print_json, print_page, when
+from drivecal.cli.application import app
+from drivecal.cli.views.output import Asked, asking, print_columns, print_page, when
 from drivecal.cli.views.sections import fixed
 from drivecal.client.client import Client
 from drivecal.configuration.documents import opened_document
@@ -31,25 +31,24 @@ class Described:
 
 
 @app.command()
+@asking
 def influence(
+    client: Client,
     identifier: Annotated[str, typer.Argument(metavar="ID", help="A campaign's or an influence map's id, or its beginning.")],
     compare: Annotated[
         str | None, typer.Option(metavar="ID", help="Another campaign or map: list the pairs on which they disagree.")
     ] = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Show where each parameter can change the score of each scenario, or compare that with another campaign's or map's."""
-    with connect(url) as client:
-        first = _described(client, identifier)
-        second = None if compare is None else _described(client, compare)
-    if second is not None:
-        _compare(first, second, as_json)
-    elif as_json:
-        print_json(first.rows)
-    else:
+    first = _described(client, identifier)
+    if compare is not None:
+        return _compared(first, _described(client, compare))
+
+    def show() -> None:
         typer.echo(first.title)
         print_influence(first.rows, first.basis)
+
+    return first.rows, show
 
 
 def print_influence(rows: Sequence[InfluenceRow], basis: Mapping[str, Any] | None) -> None:
@@ -122,19 +121,17 @@ def _described(client: Client, identifier: str) -> Described:
     return Described(f"campaign {campaign.id}  {campaign.name}", client.influence(campaign.id), basis, in_map)
 
 
-def _compare(first: Described, second: Described, as_json: bool) -> None:
+def _compared(first: Described, second: Described) -> Asked:
     for source in (first, second):
         if not source.rows:
             raise ConflictError(f"{source.title} has no influence map to compare (yet)")
     compared = agreement(first.rows, second.rows, first.in_map, second.in_map)
-    if as_json:
-        print_json({"first": first.title, "second": second.title, **compared.document()})
-        return
-    typer.echo(f"first   {first.title}\nsecond  {second.title}\n")
-    _print_agreement(compared)
+    sources = {"first": first.title, "second": second.title}
+    return {**sources, **compared.document()}, lambda: _print_agreement(compared, **sources)
 
 
-def _print_agreement(agreement: Agreement) -> None:
+def _print_agreement(agreement: Agreement, first: str, second: str) -> None:
+    typer.echo(f"first   {first}\nsecond  {second}\n")
     if agreement.share is None:
         typer.echo("they have no scenario and parameter in common")
     else:
@@ -160,43 +157,43 @@ app.add_typer(maps, name="influence-maps")
 
 
 @maps.command("list")
+@asking
 def list_maps(
-    limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+    client: Client, limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, newest first.")] = 20
+) -> Asked:
     """List the influence maps, newest first. The source is the campaign whose analysis made it, or `expert`."""
-    with connect(url) as client:
-        page = client.influence_maps(limit=limit)
+    page = client.influence_maps(limit=limit)
     rows = [[item.id, when(item.created_at), item.source, item.driving_function, item.name] for item in page.items]
-    print_page(page, as_json, ["id", "created", "source", "driving function", "name"], rows, limit)
+    return page, lambda: print_page(page, ["id", "created", "source", "driving function", "name"], rows, limit)
 
 
 @maps.command("show")
+@asking
 def show_map(
+    client: Client,
     identifier: Annotated[str, typer.Argument(metavar="ID", help="The map's id, or at least its first four characters.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Show one influence map."""
-    with connect(url) as client:
-        print_answer(client.influence_map(identifier), as_json, _print_map)
+    return _map(client.influence_map(identifier))
 
 
 @maps.command("post")
+@asking
 def post_map(
+    client: Client,
     file: Annotated[str, typer.Argument(metavar="FILE", help="An influence map, YAML or JSON; - is standard input.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Store an influence map, so that campaigns can name it in `sensitivity: {map: ID}`."""
-    with connect(url) as client, opened_document(file) as specification:
-        print_answer(client.post_influence_map(specification), as_json, _print_map)
+    with opened_document(file) as specification:
+        return _map(client.post_influence_map(specification))
 
 
-def _print_map(influence_map: InfluenceMapAnswer) -> None:
-    typer.echo(f"influence map {influence_map.id}  {influence_map.name}  ({influence_map.source})")
-    print_influence(influence_map.rows or [], influence_map.basis)
+def _map(influence_map: InfluenceMapAnswer) -> Asked:
+    def show() -> None:
+        typer.echo(f"influence map {influence_map.id}  {influence_map.name}  ({influence_map.source})")
+        print_influence(influence_map.rows or [], influence_map.basis)
+
+    return influence_map, show
 
 
 def by_scenario(rows: Iterable[InfluenceRow]) -> dict[str, list[InfluenceRow]]:

@@ -14,8 +14,9 @@ from drivecal.bundles.fmus.bundles import fields_of_resets
 from drivecal.calibration_data import files
 from drivecal.calibration_data.characteristics import LARGEST_FILE
 from drivecal.calibration_data.sections import Sections, axis_points, chosen_by, joined, sections_of
-from drivecal.cli.application import ExitCode, JsonOption, UrlOption, app, connect, say
-from drivecal.cli.views.output import parameters_text, print_answer, print_columns, print_json, print_page, when
+from drivecal.cli.application import ExitCode, JsonOption, app, say
+from drivecal.cli.views.output import Asked, asking, parameters_text, print_answer, print_columns, print_json, print_page, when
+from drivecal.client.client import Client
 from drivecal.client.problem_templates import KINDS, write_problem
 from drivecal.configuration.documents import read_document
 from drivecal.configuration.problems import read_bundle_with_notes
@@ -115,19 +116,19 @@ def check(
 
 
 @problems.command()
-def push(folder: FolderArgument, url: UrlOption = None, as_json: JsonOption = False) -> None:
+@asking
+def push(client: Client, folder: FolderArgument) -> Asked:
     """Store a problem on the server, so that campaigns can name it. Its files are checked; `problem check` runs it as well. Replaces what
     the name means; earlier campaigns keep theirs. Takes a token of the role author, or the server's own user."""
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
         say(note)
-    with connect(url) as client:
-        earlier = client.problems(name=manifest.problem, limit=1).items
-        pushed = client.push_problem(archive)
+    earlier = client.problems(name=manifest.problem, limit=1).items
+    pushed = client.push_problem(archive)
     say(_change(pushed, earlier[0].digest if earlier else None, folder))
     for note in pushed.notes:
         say(f"note: {note}")
-    print_answer(pushed, as_json, _print_problem)
+    return pushed, lambda: _print_problem(pushed)
 
 
 def _change(pushed: ProblemAnswer, earlier: str | None, folder: str) -> str:
@@ -142,28 +143,24 @@ def _change(pushed: ProblemAnswer, earlier: str | None, folder: str) -> str:
 
 
 @problems.command("list")
+@asking
 def list_problems(
+    client: Client,
     name: Annotated[str | None, typer.Option(help="Every push of this name, not only the last one of each.")] = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, last pushed first.")] = 20,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """List the problems on the server, last pushed first."""
-    with connect(url) as client:
-        page = client.problems(name=name, limit=limit)
+    page = client.problems(name=name, limit=limit)
     rows = [[row.name, when(row.created_at), _size(row.size), "yes" if row.latest else "", row.digest] for row in page.items]
-    print_page(page, as_json, ["name", "created", "size", "latest", "digest"], rows, limit)
+    return page, lambda: print_page(page, ["name", "created", "size", "latest", "digest"], rows, limit)
 
 
 @problems.command()
-def show(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name or digest.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+@asking
+def show(client: Client, name: Annotated[str, typer.Argument(metavar="NAME", help="The problem's name or digest.")]) -> Asked:
     """Show a problem on the server: its parameters, scenarios, measures and scores."""
-    with connect(url) as client:
-        print_answer(client.problem(name), as_json, _print_problem)
+    problem = client.problem(name)
+    return problem, lambda: _print_problem(problem)
 
 
 def _print_problem(problem: ProblemAnswer) -> None:

@@ -15,9 +15,9 @@ import typer
 import yaml
 
 from drivecal.calibration_data.files import labels_of
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, connect, say
+from drivecal.cli.application import CampaignArgument, UrlOption, app, connect, say
 from drivecal.cli.commands.problem import NamesOption
-from drivecal.cli.views.output import print_answer, print_importance, print_json, print_ranked, print_solutions
+from drivecal.cli.views.output import Asked, asking, print_importance, print_ranked, print_solutions
 from drivecal.cli.views.sections import front_blocks, shown_of_front
 from drivecal.client.client import Client
 from drivecal.client.mlflow import write_runs
@@ -40,7 +40,9 @@ VariantOption = Annotated[str | None, typer.Option(metavar="NAME", help="Rank fo
 
 
 @app.command()
+@asking
 def solutions(
+    client: Client,
     identifier: CampaignArgument,
     weights: Annotated[
         str | None,
@@ -49,34 +51,31 @@ def solutions(
     score: ScoreOption = None,
     variant: VariantOption = None,
     limit: Annotated[int, typer.Option(min=1, max=1000, help="How many at most, best first.")] = 20,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Show the best parameter sets of a campaign."""
     if weights is not None:
         assignments(weights.split(","), "--weights")
-    with connect(url) as client:
-        page = client.solutions(identifier, weights, limit, score, variant)
-        shapes = {} if as_json else client.setup(identifier).shapes
-    print_answer(page, as_json, lambda page: print_solutions(page.items, shapes))
+    page = client.solutions(identifier, weights, limit, score, variant)
+    return page, lambda: print_solutions(page.items, client.setup(identifier).shapes)
 
 
 @app.command()
+@asking
 def importance(
+    client: Client,
     identifier: CampaignArgument,
     scenario: Annotated[str | None, typer.Option(metavar="NAME", help="For the score in this scenario.")] = None,
     variant: VariantOption = None,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Show what matters: how much the objective depends on each parameter among the sets of the search."""
-    with connect(url) as client:
-        answer = client.importance(identifier, scenario=scenario, variant=variant)
-    print_answer(answer, as_json, print_importance)
+    answer = client.importance(identifier, scenario=scenario, variant=variant)
+    return answer, lambda: print_importance(answer)
 
 
 @app.command()
+@asking
 def front(
+    client: Client,
     identifier: CampaignArgument,
     weights: Annotated[
         str | None,
@@ -85,20 +84,16 @@ def front(
     limit: Annotated[
         int, typer.Option(min=1, help="How many to print: knee, best of each objective, the first others; --json lists all.")
     ] = 20,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Show the sets of a campaign that no other set beats in every objective."""
-    with connect(url) as client:
-        campaign_id = client.campaign(identifier).id
-        rows = client.front(campaign_id, weights)
-        summary = client.front_summary(campaign_id, weights)
-        shapes = {} if as_json else client.setup(campaign_id).shapes
-    if as_json:
-        print_json({"summary": summary, "items": rows})
-    else:
+    campaign_id = client.campaign(identifier).id
+    rows, summary = client.front(campaign_id, weights), client.front_summary(campaign_id, weights)
+
+    def show() -> None:
         sets = {row.rank: row.parameters for row in shown_of_front(rows, limit)}
-        print_ranked(front_blocks(rows, summary, limit), sets, shapes)
+        print_ranked(front_blocks(rows, summary, limit), sets, client.setup(campaign_id).shapes)
+
+    return {"summary": summary, "items": rows}, show
 
 
 @app.command()
@@ -280,17 +275,16 @@ TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influenc
 
 
 @app.command()
+@asking
 def report(
+    client: Client,
     identifier: CampaignArgument,
     output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="The folder; made if it is missing.")],
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Write a campaign's results as one page that needs no server, index.html, its tables (CSV) and its specification."""
-    with connect(url) as client:
-        campaign = client.campaign(identifier)
-        page = client.report(campaign.id)
-        files = {f"tables/{name}.csv": b"".join(client.table(campaign.id, name, "csv")) for name in TABLES}
+    campaign = client.campaign(identifier)
+    page = client.report(campaign.id)
+    files = {f"tables/{name}.csv": b"".join(client.table(campaign.id, name, "csv")) for name in TABLES}
     files |= {"campaign.json": json.dumps(campaign.spec, indent=2, ensure_ascii=False).encode() + b"\n", "index.html": page}
     with file_faults(output, "written", "give another folder"):
         (output / "tables").mkdir(parents=True, exist_ok=True)
@@ -298,4 +292,4 @@ def report(
             (output / name).write_bytes(content)
     written = [str(output / name) for name in files]
     text = f"{written[-1]}: the report, with {len(written) - 1} files beside it"
-    print_answer({"campaign": campaign.id, "page": written[-1], "files": written}, as_json, lambda _: typer.echo(text))
+    return {"campaign": campaign.id, "page": written[-1], "files": written}, lambda: typer.echo(text)

@@ -9,9 +9,10 @@ from typing import Annotated, Literal
 
 import typer
 
-from drivecal.cli.application import JsonOption, UrlOption, app, connect, exit_code, say
-from drivecal.cli.views.output import duration, print_answer, print_columns
+from drivecal.cli.application import JsonOption, app, exit_code, say
+from drivecal.cli.views.output import Asked, asking, duration, print_columns
 from drivecal.cli.views.sections import fixed, percent
+from drivecal.client.client import Client
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.configuration.tokens import TokenFile, check_exposure
 from drivecal.contracts.inventory import WorkerAnswer, WorkerPage
@@ -99,10 +100,11 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
 
 
 @app.command()
-def workers(url: UrlOption = None, as_json: JsonOption = False) -> None:
+@asking
+def workers(client: Client) -> Asked:
     """Show the workers with their activity and speed, and their share of busy time in the last 15 minutes."""
-    with connect(url) as client:
-        print_answer(client.workers(minutes=15), as_json, _print)
+    page = client.workers(minutes=15)
+    return page, lambda: _print(page)
 
 
 def _print(page: WorkerPage) -> None:

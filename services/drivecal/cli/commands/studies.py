@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from drivecal.analysis.robustness import vehicles_text
-from drivecal.cli.application import CampaignArgument, JsonOption, UrlOption, app, code_of_state, connect, say
-from drivecal.cli.views.output import parameters_text, print_answer, print_blocks, print_columns
+from drivecal.cli.application import CampaignArgument, app, code_of_state, say
+from drivecal.cli.views.output import Asked, asking, parameters_text, print_blocks, print_columns
 from drivecal.cli.views.progress import follow
 from drivecal.cli.views.sections import fixed, objective_number, validation_tables
 from drivecal.client.client import Client
@@ -94,7 +94,9 @@ ALL = 1_000_000
 
 
 @app.command()
+@asking
 def validate(
+    client: Client,
     identifier: CampaignArgument,
     predicted: Annotated[bool, typer.Option("--predicted", help="Simulate released predictions instead.")] = False,
     samples: Annotated[
@@ -102,26 +104,23 @@ def validate(
     ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter.
 
     With `--predicted`: whether the predictions that the campaign released are right.
     """
     if predicted and references is not None:
         raise typer.BadParameter("--references are variants of a map's sets: leave it out with --predicted")
-    with connect(url) as client:
-        campaign = client.campaign(identifier)
-        given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
-        wanted = wanted_of(campaign, "validation", given)
-        wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
-        maker = None if again else known(client, campaign, wanted)
-        if maker is None:
-            stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
-            maker = make(client, campaign, "validation", stages)
-        rows = client.validation(maker.id)
-    print_answer(rows, as_json, lambda rows: print_validation(rows, campaign.scale))
+    campaign = client.campaign(identifier)
+    given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
+    wanted = wanted_of(campaign, "validation", given)
+    wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
+    maker = None if again else known(client, campaign, wanted)
+    if maker is None:
+        stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
+        maker = make(client, campaign, "validation", stages)
+    rows = client.validation(maker.id)
+    return rows, lambda: print_validation(rows, campaign.scale)
 
 
 def _map_of(campaign: Campaign) -> dict[str, str]:
@@ -144,7 +143,9 @@ def print_validation(rows: Sequence[ValidationRow], scale: Scale = COMFORT) -> N
 
 
 @app.command()
+@asking
 def robustness(
+    client: Client,
     identifier: CampaignArgument,
     solutions: Annotated[int | None, typer.Option(min=1, max=1000, help="The most sets that are examined; else 20.")] = None,
     delta: Annotated[
@@ -157,26 +158,22 @@ def robustness(
         str | None, typer.Option(help="Examine the same sets in this vehicle model; the page shows both studies.")
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
-    url: UrlOption = None,
-    as_json: JsonOption = False,
-) -> None:
+) -> Asked:
     """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     given = {"solutions": solutions, "delta": delta, "steps": steps, "samples": samples, "eta": eta}
-    with connect(url) as client:
-        campaign = client.campaign(identifier)
-        wanted = wanted_of(campaign, "robustness", given)
-        maker = None if again else known(client, campaign, wanted)
-        if maker is None:
-            stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
-            if vehicle is not None:  # an unknown vehicle is refused before anything is driven
-                there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
-                client.expected_runs(specification(campaign, "robustness", stages | there))
-            maker = make(client, campaign, "robustness", stages)
-        if vehicle is not None:
-            maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
-        rows = client.robustness(maker.id)
-        shapes = {} if as_json else client.setup(maker.id).shapes
-    print_answer(rows, as_json, lambda rows: print_robustness(rows, maker.spec["robustness"], shapes))
+    campaign = client.campaign(identifier)
+    wanted = wanted_of(campaign, "robustness", given)
+    maker = None if again else known(client, campaign, wanted)
+    if maker is None:
+        stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
+        if vehicle is not None:  # an unknown vehicle is refused before anything is driven
+            there = {"vehicle": campaign.spec["vehicle"] | {"model": vehicle}}
+            client.expected_runs(specification(campaign, "robustness", stages | there))
+        maker = make(client, campaign, "robustness", stages)
+    if vehicle is not None:
+        maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+    rows = client.robustness(maker.id)
+    return rows, lambda: print_robustness(rows, maker.spec["robustness"], client.setup(maker.id).shapes)
 
 
 def _source(campaign: Campaign) -> str:

@@ -3,6 +3,8 @@
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
+from functools import wraps
+from inspect import Parameter, Signature, signature
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -10,7 +12,7 @@ import typer
 from pydantic import BaseModel
 from pydantic_core import to_jsonable_python
 
-from drivecal.cli.application import say
+from drivecal.cli.application import JsonOption, UrlOption, connect, say
 from drivecal.cli.views.sections import (
     OUTCOMES,
     Block,
@@ -39,6 +41,27 @@ from drivecal.domain.scales import objective_text, score_text
 
 Shapes = Mapping[str, ShapeAnswer]
 Shown = TypeVar("Shown")
+Show = Callable[[], None]
+Asked = tuple[object, Show] | tuple[object, Show, int]
+"""An answer, what prints it, and the exit status of its command if that is not 0."""
+
+
+def asking(command: Callable[..., Asked]) -> Callable[..., None]:
+    """Returns a command with the options --url and --json: `command` gets a client of the server first, and returns what is shown."""
+
+    @wraps(command)
+    def shown(*, url: str | None, as_json: bool, **given: Any) -> None:
+        with connect(url) as client:
+            answer, show, *code = command(client, **given)
+            print_answer(answer, as_json, lambda _: show())
+        raise typer.Exit(*code)
+
+    _, *taken = signature(command, eval_str=True).parameters.values()
+    for name, default, kind in (("url", None, UrlOption), ("as_json", False, JsonOption)):
+        taken.append(Parameter(name, Parameter.KEYWORD_ONLY, default=default, annotation=kind))
+    shown.__annotations__ = {each.name: each.annotation for each in taken}
+    shown.__signature__ = Signature(taken)  # type: ignore[attr-defined]  # Typer reads it
+    return shown
 
 
 def print_json(answer: object) -> None:
@@ -66,11 +89,8 @@ def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> No
         typer.echo("  ".join(parts).rstrip())
 
 
-def print_page(page: BaseModel, as_json: bool, header: Sequence[str], rows: Iterable[Sequence[object]], limit: int) -> None:
+def print_page(page: BaseModel, header: Sequence[str], rows: Iterable[Sequence[object]], limit: int) -> None:
     """Prints a page of a list, and to stderr whether it continues."""
-    if as_json:
-        print_json(page)
-        return
     print_columns(header, rows)
     if getattr(page, "next_cursor", None):
         say(f"there are more than {limit}; see them with --limit")

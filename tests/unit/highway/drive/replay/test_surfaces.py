@@ -10,7 +10,7 @@ from tests.support.networks import REAL, entrance, real_corridor, real_network
 
 from drivecal.contracts.evaluation import RoadSurface
 from drivecal.domain.roads import Floats
-from drivecal.highway.drive.surfaces import LONGEST, TOLERANCE, line_of, route_surface, rows_between, simplified
+from drivecal.highway.drive.replay import LONGEST, TOLERANCE, line_of, route_surface, rows_between, simplified
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import read_network
 
