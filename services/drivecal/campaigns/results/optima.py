@@ -49,7 +49,7 @@ def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: Par
 
 
 def beside(space: ParameterSpace, best: Sequence[ParameterSet], worse: Sequence[ParameterSet]) -> Alternatives:
-    """Returns the best sets and worse ones as points, a root mean square of the ranges apart; another choice is the whole range away."""
+    """Returns sets as points: root mean squares of differences are shares of the ranges, and another choice is a whole range away."""
     columns = FeatureSpace(space)([*best, *worse]).T
     parts = [
         np.sqrt(0.5) * (column == np.unique(column)[:, np.newaxis]) if parameter.choices else column[np.newaxis]
