@@ -59,7 +59,7 @@ export function selecting(query: Readonly<Record<string, string>>, columns: read
 export function brushText([low, high]: readonly [number, number]): string {
   const end = (value: number, outwards: 1 | -1): string => {
     if (!Number.isFinite(value)) return "";
-    const short = Number(value.toPrecision(6));
+    const short = Number(value.toPrecision(9));
     return String(outwards * short >= outwards * value ? short : value);
   };
   return `${end(low, -1)}:${end(high, 1)}`;

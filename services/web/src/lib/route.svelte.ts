@@ -14,6 +14,7 @@ let writing: ReturnType<typeof setTimeout> | undefined;
 
 export function go(path: readonly string[], query: Record<string, string> = {}): void {
   clearTimeout(writing);
+  history.replaceState(null, "", write(route)); // what waits to be written: the way back leads to it
   location.hash = write({ path, query });
 }
 

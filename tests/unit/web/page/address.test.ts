@@ -18,6 +18,7 @@ describe("an address", () => {
       score: [4, Infinity],
     });
     expect(brushText([0.1 + 0.2, Infinity])).toBe("0.3:");
+    expect(brushText([123457.32, 123457.326])).toBe("123457.32:123457.326");
   });
 
   test("tells a selection from all else: a chosen row and a chart select nothing anew", () => {

@@ -2,6 +2,7 @@
 
 import { grouped } from "../grouped";
 import type { Sheet } from "../server/columns";
+import { number } from "../text/format";
 import { nearestTo } from "./geometry";
 
 export interface Series {
@@ -64,6 +65,12 @@ export function reach(lists: readonly (readonly (number | null)[])[], beyond = 0
   const margin = low === high ? 0.5 : (high - low) * beyond; // a single value stands in the middle
   return [low - margin, high + margin];
 }
+
+/** A mark of an axis, which is a round number, with all of its digits. */
+export const marked = (tick: number): string => number(tick, 9);
+
+/** Pixels that the marks of the axis upwards take. */
+export const room = (marks: readonly string[]): number => Math.min(160, Math.max(50, 24 + 6.3 * Math.max(0, ...marks.map(({ length }) => length))));
 
 /** Pixels to both sides of a single value, which would not be seen otherwise. */
 const MARK = 7;

@@ -88,7 +88,7 @@ export function measured(name: string, declared?: unknown): { words: string; uni
   const parts = name.split("_");
   const suffix = parts.length > 1 ? SUFFIXES[parts.at(-1) ?? ""] : undefined;
   const unit = unitText(declared);
-  if (suffix === undefined || (unit !== "" && unit !== suffix)) return { words: parts.join(" "), unit };
+  if (suffix === undefined || (declared !== undefined && unit !== suffix)) return { words: parts.join(" "), unit };
   return { words: parts.slice(0, -1).join(" "), unit: suffix };
 }
 

@@ -30,9 +30,9 @@ export function kindOf(campaign: Known): string {
 const EVERY = 1_000_000;
 const OF_A_STUDY = /( \((robustness|validation)( in [^()]*)?\))+$/;
 
-/** Whether runs have side conditions, such as the vehicle's mass, that a robustness study varies. */
-export function isVaried(setup: { scenarios: readonly Pick<CampaignSetup["scenarios"][number], "vehicle_parameters">[] } | null): boolean {
-  return setup?.scenarios.some(({ vehicle_parameters }) => vehicle_parameters !== null) ?? false;
+/** Whether runs have side conditions, such as the vehicle's mass, that a robustness study varies: of one vehicle, while variants have others. */
+export function isVaried(setup: { scenarios: readonly Pick<CampaignSetup["scenarios"][number], "scenario" | "vehicle_parameters">[] } | null): boolean {
+  return setup?.scenarios.some(({ scenario, vehicle_parameters }) => vehicle_parameters !== null && !scenario.includes("@")) ?? false;
 }
 
 /** The studies that can be made of an ended search. */

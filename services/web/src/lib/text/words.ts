@@ -59,7 +59,7 @@ export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "bud
     return most && now > most ? "Confirming the best sets by simulation." : `Searching: ${campaign.budget ? "round" : "iteration"} ${now}.`;
   }
   if (stage === "robustness") return "Simulating the best sets in other vehicles.";
-  if (stage === "validation") return "Checking the influence map by simulation.";
+  if (stage === "validation") return "Checking earlier answers by simulation.";
   return "Running.";
 }
 

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { numbersOf, outline, reach, valueNear, type Frame, type Series } from "$lib/charts/plot";
+import { marked, numbersOf, outline, reach, room, valueNear, type Frame, type Series } from "$lib/charts/plot";
 
 const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5] };
 const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
@@ -9,6 +9,11 @@ test("a line goes through its values, leaves out what is not there, and marks a 
   expect(outline(line([0, 5], { steps: true, x: [5, 10] }), [0, 1], FRAME)).toBe("M60.0 60.0L110.0 60.0L110.0 10.0");
   expect(outline(line([null, 5]), [0, 5], FRAME)).toBe("M53.0 10.0L67.0 10.0");
   expect([reach([[3], [null]]), reach([[1, 3], [2]], 0), reach([])]).toEqual([[2.5, 3.5], [1, 3], [0, 1]]);
+});
+
+test("marks of an axis keep their digits, and have room for them", () => {
+  expect([0.5325, 123457.325, 20_000, 1e-7].map(marked)).toEqual(["0.5325", "123457.325", "20,000", "1e-7"]);
+  expect([room([]), room(["1"]), room(["123457.325"]), room(["x".repeat(99)])]).toEqual([50, 50, 87, 160]);
 });
 
 test("lines with places of their own are read at those, and nowhere else", () => {

@@ -16,6 +16,7 @@ test("a measure's unit is apart from its name, declared or at its end", () => {
   expect(measured("min_gap_m", "m")).toEqual({ words: "min gap", unit: "m" });
   expect(measured("motion_mps15")).toEqual({ words: "motion", unit: "m/s¹·⁵" });
   expect(measured("heave", "1")).toEqual({ words: "heave", unit: "" });
+  expect(measured("count_s", "1")).toEqual({ words: "count s", unit: "" });
   expect([measured("s"), measured("lane_changes")]).toEqual([{ words: "s", unit: "" }, { words: "lane changes", unit: "" }]);
 });
 

@@ -6,10 +6,11 @@ const ENDED = { id: "abc", name: "mine (robustness)", kind: "calibration", spec:
 const MAPPED = { ...ENDED, links: { influence_map: "/api/v1/influence-maps/m1" } } as unknown as Campaign;
 
 /** A problem without a vehicle model whose runs have a side condition. */
-const VARIED = { scenarios: [{ vehicle: null, vehicle_parameters: { mass: 1500 } }] };
+const VARIED = { scenarios: [{ scenario: "S1", vehicle: null, vehicle_parameters: { mass: 1500 } }] };
 
 test("studies are offered of an ended search with a result, if there is something to examine", () => {
   expect(possibleStudies(ENDED, VARIED)).toEqual(["robustness"]);
+  expect(possibleStudies(ENDED, { scenarios: [{ scenario: "S1@east", vehicle_parameters: { mass: 1500 } }] })).toEqual([]); // variants have vehicles of their own
   expect(possibleStudies(MAPPED, null)).toEqual(["map"]);
   expect(possibleStudies({ ...ENDED, cells: { ...ENDED.cells, predicted: 3 } }, null)).toEqual(["predictions"]);
   expect(possibleStudies({ ...MAPPED, cells: { ...ENDED.cells, predicted: 3 } }, VARIED)).toEqual(["robustness", "map", "predictions"]);
