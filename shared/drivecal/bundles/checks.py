@@ -2,10 +2,10 @@
 
 import keyword
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
-from typing import Any, TypeVar
+from typing import Any
 
 from drivecal.bundles.archives import MANIFEST, BundleFile
 from drivecal.bundles.expressions import Constraint, Formula
@@ -34,13 +34,12 @@ from drivecal.contracts.specification import ParameterEntry
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, attempted, problems_of
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.values import decimal
 from drivecal.plugins import registry
 
-Made = TypeVar("Made")
 Files = Mapping[str, BundleFile]
 """Files of a bundle by path."""
 OWN_FOLDERS = ("HOME", "TMPDIR", "TMP", "TEMP")
@@ -160,7 +159,7 @@ def _parameters(manifest: Manifest) -> Iterator[Problem]:
         message = f"with each coefficient there are {len(manifest.scalars)} numbers to search"
         yield Problem("parameters", message, f"give fewer `coefficients`: at most {MOST_PARAMETERS} in all")
     for name, entry in manifest.scalars.items():
-        for problem in _faults(_declared(name, entry)):
+        for problem in problems_of(_declared(name, entry)):
             yield replace(problem, field=f"parameters.{owner.get(name, name)}{problem.field.removeprefix(name)}")
         column = parameter_column(name)
         if column in columns:
@@ -193,8 +192,8 @@ def _claims(manifest: Manifest) -> Iterator[Problem]:
         if name not in manifest.parameters:
             yield Problem(f"added.{name}", "there is no such parameter", nearest(name, present))
             continue
-        made = _attempted(with_coefficients, {name: value}, manifest.shapes, "added")
-        yield from _faults(made)
+        made = attempted(with_coefficients, {name: value}, manifest.shapes, "added")
+        yield from problems_of(made)
         for scalar, number in made.items() if isinstance(made, dict) else ():
             yield from _value(f"added.{name}", _declared(scalar, manifest.scalars[scalar]), number)
     for name in manifest.removed:
@@ -210,20 +209,8 @@ def _claims(manifest: Manifest) -> Iterator[Problem]:
             yield Problem(f"renamed.{name}", message, "give each parameter one claim")
 
 
-def _attempted(make: Callable[..., Made], *given: Any, **named: Any) -> Made | InvalidInputError:
-    """Returns what a call returns, or the error that it raises for faulty input."""
-    try:
-        return make(*given, **named)
-    except InvalidInputError as error:
-        return error
-
-
-def _faults(part: object) -> Sequence[Problem]:
-    return part.problems if isinstance(part, InvalidInputError) else ()
-
-
 def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:
-    return _attempted(Parameter.declared, name, **entry.model_dump())
+    return attempted(Parameter.declared, name, **entry.model_dump())
 
 
 def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
@@ -233,18 +220,18 @@ def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
 
 def _parsed_constraints(manifest: Manifest) -> list[Constraint | InvalidInputError]:
     known = choices_of(manifest)
-    return [_attempted(Constraint, each, known, f"constraints[{place}]") for place, each in enumerate(manifest.conditions)]
+    return [attempted(Constraint, each, known, f"constraints[{place}]") for place, each in enumerate(manifest.conditions)]
 
 
 def _constraints(manifest: Manifest) -> Iterator[Problem]:
     for constraint in _parsed_constraints(manifest):
-        yield from _faults(constraint)
+        yield from problems_of(constraint)
 
 
 def _baseline(manifest: Manifest) -> Iterator[Problem]:
     if manifest.baseline is None:
         return
-    start = _attempted(lambda: manifest.start or {})
+    start = attempted(lambda: manifest.start or {})
     if isinstance(start, InvalidInputError):
         yield from start.problems
         return
@@ -260,7 +247,7 @@ def _baseline(manifest: Manifest) -> Iterator[Problem]:
 
 def _value(field: str, parameter: Parameter | InvalidInputError, value: float | str) -> Iterator[Problem]:
     if isinstance(parameter, Parameter):  # else its own problems are reported
-        yield from _faults(_attempted(parameter.index, value if isinstance(value, str) else decimal(value), field))
+        yield from problems_of(attempted(parameter.index, value if isinstance(value, str) else decimal(value), field))
 
 
 def _feasibility(manifest: Manifest) -> Iterator[Problem]:
@@ -281,7 +268,7 @@ def _remainder(manifest: Manifest) -> Iterator[Problem]:
         return
     space = ParameterSpace(known)
     kept = Constraints(space, {each.text: each for each in constraints})
-    for problem in _faults(_attempted(kept.region, 0 * space.n_values, space.n_values - 1)):
+    for problem in problems_of(attempted(kept.region, 0 * space.n_values, space.n_values - 1)):
         yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")
 
 
@@ -318,7 +305,7 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
 def _formulas(manifest: Manifest) -> Iterator[Problem]:
     for name, score in manifest.scores.items():
         if score.formula is not None:
-            yield from _faults(_attempted(Formula, score.formula, manifest.measures, f"scores.{name}.formula"))
+            yield from problems_of(attempted(Formula, score.formula, manifest.measures, f"scores.{name}.formula"))
 
 
 def _fmu_measures(manifest: Manifest) -> Iterator[Problem]:
