@@ -180,8 +180,7 @@ def _with_set(database: Database, goal: GoalSpecification, problem: str) -> Goal
 def _imported_sets(database: Database, problem: CalibrationProblem, source: str, *, again: bool) -> list[Values]:
     """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
     field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
-    with database.read() as connection:
-        rows = imported.listing(connection, name, source)
+    rows = database.query(imported.listing, name, source)
     if not rows and not again:
         raise InvalidInputError(
             Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")

@@ -90,8 +90,7 @@ class ImportedOf(TableOf):
 @computed
 def list_imported(query: Annotated[ImportedOf, Query()], database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Results from elsewhere: scores and measures, their values in stored simulations of the same sets, and the differences."""
-    with database.read() as connection:
-        rows = imported.listing(connection, query.problem, query.source)
+    rows = database.query(imported.listing, query.problem, query.source)
     values = {name: value for row in rows for name, value in row.parameters.floats.items()}
     kinds: dict[str, Kind] = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
     columns = columns_of(ImportedRow, {"parameters": kinds})

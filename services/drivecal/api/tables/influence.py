@@ -105,8 +105,7 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
     searched, known = stored.resolved.space.searched, dict[str, Importances]()
 
     def of(values: Mapping[int, float]) -> Importances | None:
-        with stored.database.read() as connection:
-            sets = parameter_sets.load(connection, list(values))
+        sets = stored.database.query(parameter_sets.load, list(values))
         rows = [[_position(parameter, sets[number].floats[parameter.name]) for parameter in searched] for number in values]
         return importances(np.array(rows).reshape(len(values), len(searched)), np.array(list(values.values())))
 

@@ -105,8 +105,7 @@ class RobustnessStage(StudyStage):
         resolved = replace(resolved_spec(source), weights=self._problem.weights, goals=self._goals)
         stored = StoredRanking(self._database, source, resolved, 0 if of is None else self._view.watermark)
         best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(stored.sets)
-        with self._database.read() as connection:
-            sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
+        sets = self._database.query(parameter_sets.load, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
         listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
