@@ -139,8 +139,7 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
         own = error.problems
     diagnostics = Diagnostics()
     if isinstance(specification.sensitivity, MapReference):
-        with database.read() as connection:
-            diagnostics.attempt(lambda: _stored_map(connection, specification))
+        diagnostics.attempt(lambda: database.query(_stored_map, specification))
     raise InvalidInputError(*own, *diagnostics.problems)
 
 

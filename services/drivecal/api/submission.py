@@ -86,8 +86,7 @@ def rerun(
     database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None, owner: str | None = None
 ) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
-    with database.read() as connection:
-        first_id = campaigns.get(connection, first_id, deleted=True).id  # however it was abbreviated, the request is the same
+    first_id = database.query(campaigns.get, first_id, deleted=True).id  # however it was abbreviated, the request is the same
     asked = Asked.of(f"campaigns/{first_id}/rerun", changes, key, owner)
     if (earlier := accepted_before(database, asked.digest, asked.key)) is not None:
         return earlier

@@ -51,8 +51,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
         message = f"{len(wanted.sets):,} sets in {len(bench.scenarios):,} scenarios are {requested:,} cells"
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
     sets = given_sets(bench, wanted.sets, "sets[{}]", Diagnostics())
-    with database.read() as connection:
-        return StoredCells(requested=requested, items=stored_simulations(connection, bench, sets))
+    return StoredCells(requested=requested, items=database.query(stored_simulations, bench, sets))
 
 
 @router.post("", status_code=201)

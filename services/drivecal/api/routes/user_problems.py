@@ -75,8 +75,7 @@ def list_problems(query: ProblemsQuery, database: DatabaseDependency) -> Problem
 @router.get("/{problem}")
 def read(problem: str, database: DatabaseDependency) -> ProblemAnswer:
     """A problem by its name or digest."""
-    with database.read() as connection:
-        return _answer(bundles.named(connection, problem))
+    return _answer(database.query(bundles.named, problem))
 
 
 @router.get("/{problem}/archive", response_class=Response, responses={200: _ARCHIVE, 304: {"description": "It is unchanged"}})

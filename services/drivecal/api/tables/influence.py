@@ -151,8 +151,7 @@ def _notes(stored: StoredRanking, scenario: str | None, items: Sequence[Paramete
         notes.append(NEAR)
     if campaign.influence_map_id is None:
         return notes
-    with stored.database.read() as connection:
-        rows = campaign_rows(influence_maps.get(connection, campaign.influence_map_id), stored.resolved)
+    rows = campaign_rows(stored.database.query(influence_maps.get, campaign.influence_map_id), stored.resolved)
     matters = {row.parameter for row in rows if row.influential and scenario in {None, row.scenario}}
     notes += [
         f"{item.parameter} matters among the sets of this search (importance {item.lower:.2g} or more), and the influence map calls it"

@@ -154,8 +154,8 @@ def stages_of(database: Database, campaign: StoredCampaign, problem: Calibration
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, isolated, workers=workers, seed=seed)
     rate_stored_runs(database, view)
     view, claims = _with_claims(database, view, problem)
-    with database.read() as connection:  # what was known of the map when the campaign was submitted
-        warnings = warnings_of(connection, problem, campaign.influence_map_id, campaign.created_at)
+    # what was known of the map when the campaign was submitted
+    warnings = database.query(warnings_of, problem, campaign.influence_map_id, campaign.created_at)
     problem = replace(problem, notes=(*problem.notes, *claims, *warnings))
     names = [kind.name for kind, _ in STAGES]
     for kind, is_wanted in STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :]:
