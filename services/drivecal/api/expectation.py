@@ -139,8 +139,7 @@ def resolved(database: Database, specification: CampaignSpecification, *, again:
         own = error.problems
     diagnostics = Diagnostics()
     if isinstance(specification.sensitivity, MapReference):
-        with database.read() as connection:
-            diagnostics.attempt(lambda: _stored_map(connection, specification))
+        diagnostics.attempt(lambda: database.query(_stored_map, specification))
     raise InvalidInputError(*own, *diagnostics.problems)
 
 
@@ -180,8 +179,7 @@ def _with_set(database: Database, goal: GoalSpecification, problem: str) -> Goal
 def _imported_sets(database: Database, problem: CalibrationProblem, source: str, *, again: bool) -> list[Values]:
     """Returns the sets of a source of results from elsewhere, at the nearest grid points, each once."""
     field, name = "optimizer.start_results", problem.bench.bundle.manifest.problem
-    with database.read() as connection:
-        rows = imported.listing(connection, name, source)
+    rows = database.query(imported.listing, name, source)
     if not rows and not again:
         raise InvalidInputError(
             Problem(field, f"{name} has no results of {source!r}", f"`drivecal results list {name}` lists what there is")

@@ -59,8 +59,7 @@ class ServiceCollector(Collector):
         """Yields the metrics; see the table in `docs/pages/reference/metrics.md`."""
         yield InfoMetricFamily("drivecal_build", "The version of drivecal", {"version": version("drivecal")})
         try:
-            with self._database.read() as connection:
-                totals = statistics.read(connection)
+            totals = self._database.query(statistics.read)
         except (DrivecalError, SQLAlchemyError):
             yield GaugeMetricFamily("drivecal_database_up", _UP, 0)
             return

@@ -86,8 +86,7 @@ def rerun(
     database: Database, limits: Limits, first_id: str, changes: RerunSpecification, key: str | None, owner: str | None = None
 ) -> StoredCampaign:
     """Queues an ended campaign again with `changes`. Raises ConflictError before its end, NotFoundError, and like `submit`."""
-    with database.read() as connection:
-        first_id = campaigns.get(connection, first_id, deleted=True).id  # however it was abbreviated, the request is the same
+    first_id = database.query(campaigns.get, first_id, deleted=True).id  # however it was abbreviated, the request is the same
     asked = Asked.of(f"campaigns/{first_id}/rerun", changes, key, owner)
     if (earlier := accepted_before(database, asked.digest, asked.key)) is not None:
         return earlier
@@ -100,8 +99,7 @@ def rerun(
         raise ConflictError(f"campaign {first_id} is {state_of(first)}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
-    with database.read() as connection:
-        others = moved(connection, first.spec["problem"], problem.specification.problem)
+    others = database.query(moved, first.spec["problem"], problem.specification.problem)
     if held := [name for name in others if f'"{name}"' in canonical_json(document)]:
         raise InvalidInputError(Problem("problem", f"{', '.join(held)} mean other curves there", "submit lists of values"))
     if used is not None and used.basis is not None and is_outdated(used, problem):
@@ -134,8 +132,7 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
         text = ",".join(f"{name}={weights.get(name, 0.0)!r}" for name in theirs.weights)
         with suppress(InvalidInputError):  # a learned score ranks nothing before the rerun
             ranked = solution_pages(StoredRanking(database, first, theirs), text, f"{wanted.evaluator}@{wanted.problem}").ranked
-    with database.read() as connection:
-        sets = parameter_sets.load(connection, [each.parameter_set for each in ranked[:TRIED]])
+    sets = database.query(parameter_sets.load, [each.parameter_set for each in ranked[:TRIED]])
     shapes, space = problem.bench.bundle.manifest.shapes, problem.search_constraints
     made = ((each, given_set(sets[each.parameter_set].floats, space, "", Diagnostics(), shapes)) for each in ranked[:TRIED])
     place, best = next(((each.iteration, fitting) for each, fitting in made if fitting is not None), (0, None))

@@ -25,7 +25,7 @@ from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, ReductionSpecification
 from drivecal.contracts.tables import Generation
 from drivecal.domain.campaigns import StageName
-from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError, Problem, attempted, problems_of
 from drivecal.domain.setups import digest
 from drivecal.optimizers.built_in import EXTERNAL
 from drivecal.plugins import registry
@@ -147,13 +147,12 @@ def resolve_comparison(specification: ComparisonSpecification, bundles: BundleSo
     diagnostics = Diagnostics()
     _check_lists(specification, diagnostics)
     diagnostics.raise_if_any()
-    resolved = []
+    resolved = list[CalibrationProblem]()
     for run, (optimizer, _, seed, reduction) in zip(runs_of(specification), _places(specification), strict=True):
         if seed == specification.seeds[0]:
-            try:
-                resolved.append(resolve(run, bundles))
-            except InvalidInputError as error:
-                diagnostics.problems.extend(_moved(problem, optimizer, reduction) for problem in error.problems)
+            made = attempted(resolve, run, bundles)
+            diagnostics.problems.extend(_moved(problem, optimizer, reduction) for problem in problems_of(made))
+            resolved += [made] if isinstance(made, CalibrationProblem) else []
     diagnostics.problems = list(dict.fromkeys(diagnostics.problems))
     diagnostics.raise_if_any()
     settled = [_settled(reduction) for reduction in specification.reductions]

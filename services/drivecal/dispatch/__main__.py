@@ -135,8 +135,7 @@ def _backend(settings: Settings, database: Database) -> SupervisedBackend:
 def _archive(database: Database, digest: str) -> bytes:
     if (own := installed(digest)) is not None:
         return own.archive
-    with database.read() as connection:
-        return bundles.archive(connection, digest)
+    return database.query(bundles.archive, digest)
 
 
 def _take_lock(database: Database, settings: Settings, server: int | None) -> server_lock.ServerLock:

@@ -96,8 +96,7 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
 
     Raises ConflictError if any version differs from its start.
     """
-    with database.read() as connection:
-        campaign = campaigns.by_sequence(connection, sequence)
+    campaign = database.query(campaigns.by_sequence, sequence)
     tools: str | None = (campaign.resolution or {}).get("tools")
     problem = problem_of(campaign, with_tools(stored_bundles(database), tools))
     request = problem.bench.to_probe
@@ -110,8 +109,7 @@ def take_up(database: Database, sequence: int, probe: Prober, workers: int = 1) 
     _pin(database, campaign, problem.resolution() | known, may_change=problem.bench.bundle.manifest.has_planner)
     if isinstance(problem, CalibrationProblem):
         return StagedCampaign(stages_of(database, campaign, problem, workers))
-    with database.read() as connection:
-        traced = traces.is_made_by(connection, campaign.sequence)
+    traced = database.query(traces.is_made_by, campaign.sequence)
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, traced=traced)
     return StagedCampaign(iter([SingleEvaluation(database, campaign, problem, view)]))
 
@@ -261,8 +259,7 @@ class Dispatcher:
 
     def _look(self) -> None:
         """Starts queued campaigns, resumes running campaigns, and applies requested actions."""
-        with self._database.read() as connection:
-            headings = campaigns.active(connection)
+        headings = self._database.query(campaigns.active)
         running = (CampaignState.RUNNING, CampaignState.CANCELLING)
         for sequence in self._active.keys() - {heading.sequence for heading in headings if heading.state in running}:
             active = self._active.pop(sequence)  # the commit that paused or ended it succeeded, and only its answer was lost
@@ -440,16 +437,14 @@ class Dispatcher:
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
         if (context := tracing.root(active.campaign.id)) is not None:
-            with self._database.read() as connection:
-                stored = campaigns.by_sequence(connection, active.campaign.sequence)
+            stored = self._database.query(campaigns.by_sequence, active.campaign.sequence)
             begun = round((stored.started_at or stored.created_at).timestamp() * 1e9)
             tracing.record("campaign", context, begun, campaign=stored.id, campaign_name=stored.name, state=state.value)
         self._active.pop(active.campaign.sequence, None)
 
     def _best_of_all(self, sequence: int) -> Callable[[Connection], None] | None:
         """Returns what stores the best set of a search that ends early; None without a search, or if that fails."""
-        with self._database.read() as connection:
-            campaign = campaigns.by_sequence(connection, sequence)
+        campaign = self._database.query(campaigns.by_sequence, sequence)
         with _ends_all_the_same():
             problem = None if campaign.search is None else problem_of(campaign, stored_bundles(self._database))
             if isinstance(problem, CalibrationProblem):

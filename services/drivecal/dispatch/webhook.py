@@ -103,8 +103,7 @@ class Webhook:
 
     def _document(self, event: StoredEvent) -> dict[str, Any]:
         """Returns what is posted: names and figures, without the settings of the campaign and texts of simulators."""
-        with self._database.read() as connection:
-            campaign = campaigns.by_sequence(connection, event.campaign_sequence)
+        campaign = self._database.query(campaigns.by_sequence, event.campaign_sequence)
         best, baseline = campaign.best, campaign.baseline
         return {
             "event": event.kind,

@@ -89,8 +89,7 @@ class Startup:
         """Call it before the dispatcher starts, whose term is compared with the last one: the clock may be set meanwhile."""
         self._database, self._url = database, url
         self._is_announced = False
-        with database.read() as connection:
-            self._last_term = processes.term_in_office(connection)
+        self._last_term = database.query(processes.term_in_office)
 
     def missing(self) -> list[str]:
         """Returns what is not ready yet."""
@@ -99,8 +98,7 @@ class Startup:
             self._is_announced = True
             log.info(ANSWERING, self._url)
         try:
-            with self._database.read() as connection:
-                dispatcher = processes.read(connection, processes.DISPATCHER)
+            dispatcher = self._database.query(processes.read, processes.DISPATCHER)
         except DrivecalError as error:
             return [*lacking, str(error)]
         if dispatcher is None or dispatcher.term == self._last_term:

@@ -34,6 +34,7 @@ from drivecal.storage.engine.types import ORDER, STAGES
 from drivecal.storage.evaluations import HAS_SEED, RUN_SEED, of_iteration
 from drivecal.storage.references import metrics
 from drivecal.storage.references.parameter_sets import parse
+from drivecal.storage.references.runs import ORIGIN, rated_by
 
 BATCH = 1_000
 """Rows that an export holds in memory at a time."""
@@ -324,15 +325,8 @@ def stored_sets(
 ) -> Iterator[Candidates]:
     """The sets of a setup's runs that `evaluator` rated, both up to `watermark`. Sets of other parameters than `names` are left out: they
     are of another function."""
-    origin = (runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual)
-    query = (
-        select(runs.c.evaluation_id, *origin, parameter_sets.c.parameter_values)
-        .join(parameter_sets)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
-        .order_by(runs.c.id)
-    )
-    yield from _chunks(connection, query, names)
+    query = rated_by(evaluator, setup_id, watermark, runs.c.evaluation_id, *ORIGIN, parameter_sets.c.parameter_values)
+    yield from _chunks(connection, query.join(parameter_sets).order_by(runs.c.id), names)
 
 
 def own_sets(connection: Connection, cell: StoredEvaluation, names: Sequence[str]) -> Iterator[Candidates]:

@@ -34,7 +34,7 @@ from drivecal.contracts.specification import ParameterEntry
 from drivecal.contracts.strict_json import shown
 from drivecal.contracts.tables import parameter_column
 from drivecal.domain.constraints import Constraints
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, attempted, problems_of
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.values import decimal
@@ -159,13 +159,8 @@ def _parameters(manifest: Manifest) -> Iterator[Problem]:
         message = f"with each coefficient there are {len(manifest.scalars)} numbers to search"
         yield Problem("parameters", message, f"give fewer `coefficients`: at most {MOST_PARAMETERS} in all")
     for name, entry in manifest.scalars.items():
-        parameter = _declared(name, entry)
-        if isinstance(parameter, InvalidInputError):
-            shown_name = owner.get(name, name)
-            yield from (
-                replace(problem, field=f"parameters.{shown_name}{problem.field.removeprefix(name)}")
-                for problem in parameter.problems
-            )
+        for problem in problems_of(_declared(name, entry)):
+            yield replace(problem, field=f"parameters.{owner.get(name, name)}{problem.field.removeprefix(name)}")
         column = parameter_column(name)
         if column in columns:
             message = f"{name} and {columns[column]} would share the column {column} of the tables"
@@ -197,11 +192,10 @@ def _claims(manifest: Manifest) -> Iterator[Problem]:
         if name not in manifest.parameters:
             yield Problem(f"added.{name}", "there is no such parameter", nearest(name, present))
             continue
-        try:
-            for scalar, number in with_coefficients({name: value}, manifest.shapes, "added").items():
-                yield from _value(f"added.{name}", _declared(scalar, manifest.scalars[scalar]), number)
-        except InvalidInputError as error:
-            yield from error.problems
+        made = attempted(with_coefficients, {name: value}, manifest.shapes, "added")
+        yield from problems_of(made)
+        for scalar, number in made.items() if isinstance(made, dict) else ():
+            yield from _value(f"added.{name}", _declared(scalar, manifest.scalars[scalar]), number)
     for name in manifest.removed:
         if name in manifest.parameters:
             yield Problem(f"removed.{name}", f"{name} is a parameter still", "leave it out, or remove the parameter")
@@ -216,10 +210,7 @@ def _claims(manifest: Manifest) -> Iterator[Problem]:
 
 
 def _declared(name: str, entry: ParameterEntry) -> Parameter | InvalidInputError:
-    try:
-        return Parameter.declared(name, **entry.model_dump())
-    except InvalidInputError as error:
-        return error
+    return attempted(Parameter.declared, name, **entry.model_dump())
 
 
 def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
@@ -227,29 +218,22 @@ def choices_of(manifest: Manifest) -> dict[str, tuple[str, ...]]:
     return {name: tuple(entry.choices or ()) for name, entry in manifest.scalars.items()}
 
 
-def _parsed_constraints(manifest: Manifest) -> Iterator[tuple[str, Constraint | InvalidInputError]]:
+def _parsed_constraints(manifest: Manifest) -> list[Constraint | InvalidInputError]:
     known = choices_of(manifest)
-    for index, condition in enumerate(manifest.conditions):
-        field = f"constraints[{index}]"
-        try:
-            yield field, Constraint(condition, known, field)
-        except InvalidInputError as error:
-            yield field, error
+    return [attempted(Constraint, each, known, f"constraints[{place}]") for place, each in enumerate(manifest.conditions)]
 
 
 def _constraints(manifest: Manifest) -> Iterator[Problem]:
-    for _, constraint in _parsed_constraints(manifest):
-        if isinstance(constraint, InvalidInputError):
-            yield from constraint.problems
+    for constraint in _parsed_constraints(manifest):
+        yield from problems_of(constraint)
 
 
 def _baseline(manifest: Manifest) -> Iterator[Problem]:
     if manifest.baseline is None:
         return
-    try:
-        start = manifest.start or {}
-    except InvalidInputError as error:
-        yield from error.problems
+    start = attempted(lambda: manifest.start or {})
+    if isinstance(start, InvalidInputError):
+        yield from start.problems
         return
     for name, value in start.items():
         if name not in manifest.scalars:
@@ -262,36 +246,30 @@ def _baseline(manifest: Manifest) -> Iterator[Problem]:
 
 
 def _value(field: str, parameter: Parameter | InvalidInputError, value: float | str) -> Iterator[Problem]:
-    if isinstance(parameter, InvalidInputError):
-        return  # its own problems are reported
-    try:
-        parameter.index(value if isinstance(value, str) else decimal(value), field)
-    except InvalidInputError as error:
-        yield from error.problems
+    if isinstance(parameter, Parameter):  # else its own problems are reported
+        yield from problems_of(attempted(parameter.index, value if isinstance(value, str) else decimal(value), field))
 
 
 def _feasibility(manifest: Manifest) -> Iterator[Problem]:
     if manifest.baseline is None or list(_baseline(manifest)):
         return
-    for _, constraint in _parsed_constraints(manifest):
+    for constraint in _parsed_constraints(manifest):
         if isinstance(constraint, Constraint) and not constraint.holds(manifest.start or {}):
             yield Problem("baseline", f"it breaks the constraint {shown(constraint.text)}", "change it, or the constraint")
 
 
 def _remainder(manifest: Manifest) -> Iterator[Problem]:
     """Yields the constraints that leave nothing. A baseline that keeps them proves that something is left; without one, sets are tried."""
-    parsed = [constraint for _, constraint in _parsed_constraints(manifest)]
+    parsed = _parsed_constraints(manifest)
     parameters = [_declared(name, entry) for name, entry in manifest.scalars.items()]
     known = tuple(parameter for parameter in parameters if isinstance(parameter, Parameter))
     constraints = [constraint for constraint in parsed if isinstance(constraint, Constraint)]
     if manifest.baseline is not None or not parsed or len(known) < len(parameters) or len(constraints) < len(parsed):
         return
     space = ParameterSpace(known)
-    try:
-        Constraints(space, {each.text: each for each in constraints}).region(0 * space.n_values, space.n_values - 1)
-    except InvalidInputError as error:
-        for problem in error.problems:
-            yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")
+    kept = Constraints(space, {each.text: each for each in constraints})
+    for problem in problems_of(attempted(kept.region, 0 * space.n_values, space.n_values - 1)):
+        yield replace(problem, remedy=f"{problem.remedy}, or give a `baseline` that keeps them: a trial proves nothing")
 
 
 def _scenario_resources(manifest: Manifest) -> Iterator[Problem]:
@@ -326,12 +304,8 @@ def _ranges(scores: Mapping[str, ScoreEntry]) -> Iterator[Problem]:
 
 def _formulas(manifest: Manifest) -> Iterator[Problem]:
     for name, score in manifest.scores.items():
-        if score.formula is None:
-            continue
-        try:
-            Formula(score.formula, manifest.measures, f"scores.{name}.formula")
-        except InvalidInputError as error:
-            yield from error.problems
+        if score.formula is not None:
+            yield from problems_of(attempted(Formula, score.formula, manifest.measures, f"scores.{name}.formula"))
 
 
 def _fmu_measures(manifest: Manifest) -> Iterator[Problem]:

@@ -33,7 +33,7 @@ from drivecal.bundles.highway_catalogue import (
 )
 from drivecal.contracts.input_errors import nearest, validated
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, attempted, problems_of
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 
@@ -138,11 +138,9 @@ def task_problems(controller: AnyController, scenarios: Mapping[str, Any]) -> It
 def scenarios_problems(step: float, scenarios: Mapping[str, Any]) -> Iterator[Problem]:
     """Yields the faults of all scenarios. `step`: the simulator's (s)."""
     for name, data in scenarios.items():
-        try:
-            scenario = declared_scenario(data)
-        except InvalidInputError as error:
-            yield from (replace(each, field=f"scenarios.{name}.{each.field}".rstrip(".")) for each in error.problems)
-        else:
+        scenario = attempted(declared_scenario, data)
+        yield from (replace(each, field=f"scenarios.{name}.{each.field}".rstrip(".")) for each in problems_of(scenario))
+        if not isinstance(scenario, InvalidInputError):
             yield from scenario_problems(f"scenarios.{name}", scenario, step)
 
 

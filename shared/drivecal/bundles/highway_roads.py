@@ -19,7 +19,7 @@ from drivecal.bundles.traffic.entities import Files
 from drivecal.bundles.traffic.places import Map
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem, restated
+from drivecal.domain.errors import InvalidInputError, Problem, T, attempted, problems_of, restated
 from drivecal.domain.roads import Road
 from drivecal.roads.carriageway import carriageway
 from drivecal.roads.conversion import converted
@@ -46,10 +46,9 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
     problems: list[Problem] = []
     opened = files_read(files)
     for field, scenario in _scenarios(manifest):
-        try:
-            name = network_of(scenario, opened)
-        except InvalidInputError as error:
-            problems += _prefixed(error, field)
+        name = attempted(network_of, scenario, opened)
+        if isinstance(name, InvalidInputError):
+            problems += _prefixed(name, field)
             continue
         if not name.endswith(".xodr") or name not in files or network_file(name) in networks:
             continue
@@ -58,13 +57,11 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
             if source_of(existing.content) != _digest(files[name]):
                 problems.append(_stale(field, name))
             continue
-        try:
-            conversion = converted(files[name].content, name)
-        except InvalidInputError as error:
-            problems += [Problem(f"{field}.network", _message(problem), problem.remedy) for problem in error.problems]
-            continue
-        networks[network_file(name)] = conversion.network
-        notes += [f"{name}: {note}" for note in conversion.notes]
+        conversion = attempted(converted, files[name].content, name)
+        problems += [Problem(f"{field}.network", _message(problem), problem.remedy) for problem in problems_of(conversion)]
+        if not isinstance(conversion, InvalidInputError):
+            networks[network_file(name)] = conversion.network
+            notes += [f"{name}: {note}" for note in conversion.notes]
     if problems:
         raise InvalidInputError(*dict.fromkeys(problems))
     return networks, tuple(notes)
@@ -110,12 +107,9 @@ def _roads_of_tasks(
         scenario = declared_scenario(data)
         if isinstance(scenario, TaskScenario) and scenario.network in files:
             roads.check_time()
-            try:
-                road = carriageway(files[scenario.network].content, tuple(scenario.route), scenario.network)
-            except InvalidInputError as error:
-                yield f"scenarios.{name}", list(_prefixed(error, f"scenarios.{name}"))
-            else:
-                yield f"scenarios.{name}", list(_starts(scenario, road, f"scenarios.{name}"))
+            field = f"scenarios.{name}"
+            road = attempted(carriageway, files[scenario.network].content, tuple(scenario.route), scenario.network)
+            yield field, list(_starts(scenario, road, field) if isinstance(road, Road) else _prefixed(road, field))
 
 
 def _starts(scenario: TaskScenario, road: Road, field: str) -> Iterator[Problem]:
@@ -203,32 +197,20 @@ class _Roads:
     def map(self, name: str) -> Map:
         """Returns a network of the bundle with its OpenDRIVE file. Raises InvalidInputError with the field `network`."""
         if name not in self._maps:
-            try:
-                self._maps[name] = self._read(name)
-            except InvalidInputError as error:
-                self._maps[name] = error
-        known = self._maps[name]
-        if isinstance(known, InvalidInputError):
-            raise known
-        return known
+            self._maps[name] = attempted(self._read, name)
+        return _made(self._maps[name])
 
     def corridor(self, scenario: HighwayScenario) -> Corridor:
         """Returns the corridor of a scenario. Raises InvalidInputError."""
         key = _road(scenario)
         if self._last is None or self._last[0] != key:
             self._last = None  # before the next is made
-            try:
-                network = self.map(scenario.network).network
-                self._last = (
-                    key,
-                    corridor(network, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings),
-                )
-            except InvalidInputError as error:
-                self._last = key, error
-        road = self._last[1]
-        if isinstance(road, InvalidInputError):
-            raise road
-        return road
+            self._last = key, attempted(self._measured, scenario)
+        return _made(self._last[1])
+
+    def _measured(self, scenario: HighwayScenario) -> Corridor:
+        network = self.map(scenario.network).network
+        return corridor(network, scenario.route, scenario.network, scenario.default_limit, crossings=scenario.crossings)
 
     def _read(self, name: str) -> Map:
         file = self._files.get(network_file(name))
@@ -242,6 +224,12 @@ class _Roads:
             return map_of(self.files.read, name, self.check_time)
 
 
+def _made(part: T | InvalidInputError) -> T:
+    if isinstance(part, InvalidInputError):
+        raise part
+    return part
+
+
 def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:
     """Yields the faults of a scenario."""
     try:
@@ -249,14 +237,12 @@ def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[
     except InvalidInputError as error:
         yield from _prefixed(error, field)
         return
-    try:
-        start = _start(road, scenario)
-        needed = SHORTEST_DRIVE * scenario.ego.speed * scenario.duration
-        if road.length - start < needed:
-            message = f"the route ends {road.length - start:.0f} m after the start, too short for {scenario.duration:g} s"
-            yield Problem(f"{field}.route", message, "give a longer route, or a shorter duration")
-    except InvalidInputError as error:
-        yield from _prefixed(error, f"{field}.ego")
+    start = attempted(_start, road, scenario)
+    if isinstance(start, InvalidInputError):
+        yield from _prefixed(start, f"{field}.ego")
+    elif road.length - start < SHORTEST_DRIVE * scenario.ego.speed * scenario.duration:
+        message = f"the route ends {road.length - start:.0f} m after the start, too short for {scenario.duration:g} s"
+        yield Problem(f"{field}.route", message, "give a longer route, or a shorter duration")
     for index, vehicle in enumerate(scenario.traffic):
         yield from _vehicle(network, road, vehicle, f"{field}.traffic[{index}]")
 
@@ -277,13 +263,11 @@ def _vehicle(network: Network, road: Corridor, vehicle: TrafficEntry, field: str
     for index, message, remedy in islice(network.faults(vehicle.route or ()), 1):  # names of 2,000 roads are compared for each
         yield Problem(f"{field}.route[{index}]", f"{network.name}: {message}", remedy)
     if vehicle.edge is None:
-        try:
-            edge_there = road.piece(vehicle.s, vehicle.lane).edge
-        except InvalidInputError as error:
-            yield from _prefixed(error, field)
-            return
-        if vehicle.route is not None and edge_there not in vehicle.route:
-            message = f"the vehicle starts on {shown(edge_there, 80)}, which is not on its route"
+        piece = attempted(road.piece, vehicle.s, vehicle.lane)
+        if isinstance(piece, InvalidInputError):
+            yield from _prefixed(piece, field)
+        elif vehicle.route is not None and piece.edge not in vehicle.route:
+            message = f"the vehicle starts on {shown(piece.edge, 80)}, which is not on its route"
             yield Problem(f"{field}.route", message, "give a route with this edge, or another s")
         return
     edge = network.edges.get(vehicle.edge)

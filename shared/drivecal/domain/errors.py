@@ -6,11 +6,11 @@ they survive pickling between processes.
 
 import csv
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 LONGEST_DETAIL = 500
 """Largest length of an error's description in characters."""
@@ -158,6 +158,21 @@ def describe(error: BaseException) -> str:
 
 
 T = TypeVar("T")
+
+
+def attempted(make: Callable[..., T], *given: Any, **named: Any) -> T | InvalidInputError:
+    """Returns what a call returns, or the error that it raises for faulty input."""
+    try:
+        return make(*given, **named)
+    except InvalidInputError as error:
+        return error
+
+
+def problems_of(part: object) -> Sequence[Problem]:
+    """Returns the problems of an error for faulty input; none of anything else."""
+    return part.problems if isinstance(part, InvalidInputError) else ()
+
+
 MOST_FINDINGS = 1_000
 """A hostile megabyte of start sets has a hundred times as many."""
 
@@ -176,11 +191,9 @@ class Diagnostics:
 
     def attempt(self, make: Callable[[], T]) -> T | None:
         """Returns what `make` returns; None if it raises InvalidInputError, whose problems are added."""
-        try:
-            return make()
-        except InvalidInputError as error:
-            self.problems.extend(error.problems)
-            return None
+        made = attempted(make)
+        self.problems.extend(problems_of(made))
+        return None if isinstance(made, InvalidInputError) else made
 
     def found(self, part: T | None) -> T:
         """Returns a part that is there if there are no problems. Raises InvalidInputError with all problems."""

@@ -147,6 +147,4 @@ def accepted(response: Response, database: Database, stored: StoredCampaign) -> 
     """Returns the answer for a campaign that was queued, or received a request."""
     response.headers["Location"] = f"{ROOT}/campaigns/{stored.id}"
     moment = now()
-    with database.read() as connection:
-        silent = silence(revision_queries.heartbeat(connection), moment)
-    return campaign_answer(stored, moment, silent)
+    return campaign_answer(stored, moment, silence(database.query(revision_queries.heartbeat), moment))

@@ -34,13 +34,11 @@ def submit(
         return expectation.expected_comparison(database, limits, specification)
     tag = submission.compare(database, limits, specification, idempotency_key or uuid.uuid4().hex, owner)
     response.headers["Location"] = f"{ROOT}/comparisons/{tag}"
-    with database.read() as connection:
-        return compared(connection, tag)
+    return database.query(compared, tag)
 
 
 @router.get("/{tag}")
 def compare(tag: str, database: DatabaseDependency) -> Comparison:
     """Compares the campaigns with a tag, as far as they are: by optimizer, population size and reduction. Campaigns of one
     problem can be compared: give them a common tag."""
-    with database.read() as connection:
-        return compared(connection, tag)
+    return database.query(compared, tag)

@@ -45,8 +45,7 @@ def evaluate(
 ) -> Evaluation:
     """Queues the evaluation of one parameter set; `Location` is the URL of its result."""
     stored = submission.evaluate(database, limits, specification, idempotency_key, owner)
-    with database.read() as connection:
-        answer = _evaluation(connection, stored)
+    answer = database.query(_evaluation, stored)
     response.headers["Location"] = answer.links["self"]
     return answer
 

@@ -57,8 +57,7 @@ def metrics(request: Request) -> Response:
 def _judge(database: Database) -> Judgement:
     try:
         database.check()
-        with database.read() as connection:
-            judgement = judge(processes.read(connection, processes.DISPATCHER), now())
+        judgement = judge(database.query(processes.read, processes.DISPATCHER), now())
     except DrivecalError as error:
         return Judgement(ready=False, problems=(str(error),))
     reason = _locked(database) if judgement.silent else None

@@ -36,16 +36,14 @@ def post(specification: InfluenceMapSpecification, response: Response, database:
 @router.get("")
 def list_maps(query: PageQuery, database: DatabaseDependency) -> InfluenceMapPage:
     """Influence maps, newest first, without their rows."""
-    with database.read() as connection:
-        page, following = influence_maps.page(connection, limit=query.limit, cursor=query.cursor)
+    page, following = database.query(influence_maps.page, limit=query.limit, cursor=query.cursor)
     return InfluenceMapPage(items=[_answer(stored, with_rows=False) for stored in page], next_cursor=following)
 
 
 @router.get("/{map_id}", response_model=InfluenceMapAnswer, responses={200: FILES})
 def read(map_id: str, query: FormQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """An influence map with its rows, as a table with `Accept: text/csv` or `format`. Unlisted parameters count as influential."""
-    with database.read() as connection:
-        stored = influence_maps.get(connection, map_id)
+    stored = database.query(influence_maps.get, map_id)
     form = form_of(query, accept)
     answer = _answer(stored, with_rows=True)
     if form == "json":

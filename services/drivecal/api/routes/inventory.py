@@ -73,8 +73,7 @@ def optimizers() -> OptimizerPage:
 @router.get("/references")
 def references(database: DatabaseDependency) -> ReferencePage:
     """Number of simulated runs in the reference table, by setup."""
-    with database.read() as connection:
-        counts = setups.counts(connection)
+    counts = database.query(setups.counts)
     return ReferencePage(items=[_reference(count) for count in counts])
 
 

@@ -38,8 +38,7 @@ LOOK_SECONDS, LONGEST_LOOK = 0.05, 0.5
 @router.post("/{campaign_id}/sets", status_code=202)
 def propose(campaign_id: str, proposed: ProposedSets, request: Request, database: DatabaseDependency) -> AcceptedSets:
     """Takes sets of an outside optimizer. They are stored before the answer; sending them again, with the same keys, changes nothing."""
-    with database.read() as connection:
-        campaign_id = campaigns.get(connection, campaign_id).id
+    campaign_id = database.query(campaigns.get, campaign_id).id
     problem = _problem(database, campaign_id)
     diagnostics = Diagnostics()
     indices = indices_of(problem, proposed.sets, diagnostics)

@@ -51,8 +51,7 @@ def look_up(wanted: ResultLookup, database: DatabaseDependency) -> StoredCells:
         message = f"{len(wanted.sets):,} sets in {len(bench.scenarios):,} scenarios are {requested:,} cells"
         raise InvalidInputError(Problem("sets", message, f"give at most {MOST_CELLS:,}"))
     sets = given_sets(bench, wanted.sets, "sets[{}]", Diagnostics())
-    with database.read() as connection:
-        return StoredCells(requested=requested, items=stored_simulations(connection, bench, sets))
+    return StoredCells(requested=requested, items=database.query(stored_simulations, bench, sets))
 
 
 @router.post("", status_code=201)
@@ -90,8 +89,7 @@ class ImportedOf(TableOf):
 @computed
 def list_imported(query: Annotated[ImportedOf, Query()], database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Results from elsewhere: scores and measures, their values in stored simulations of the same sets, and the differences."""
-    with database.read() as connection:
-        rows = imported.listing(connection, query.problem, query.source)
+    rows = database.query(imported.listing, query.problem, query.source)
     values = {name: value for row in rows for name, value in row.parameters.floats.items()}
     kinds: dict[str, Kind] = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
     columns = columns_of(ImportedRow, {"parameters": kinds})

@@ -140,8 +140,7 @@ def list_influence(campaign_id: str, query: TableQuery, database: DatabaseDepend
     campaign = _campaign(database, campaign_id)
     rows: list[InfluenceRow] = []
     if campaign.influence_map_id is not None:
-        with database.read() as connection:
-            stored = influence_maps.get(connection, campaign.influence_map_id)
+        stored = database.query(influence_maps.get, campaign.influence_map_id)
         rows = influence.campaign_rows(stored, _pinned(campaign))
     return listed(f"influence-{campaign.id}", query, accept, columns_of(InfluenceRow), rows)
 
@@ -167,8 +166,7 @@ def list_validation(campaign_id: str, query: TableQuery, database: DatabaseDepen
 
 
 def _study(database: Database, campaign: StoredCampaign, stage: StageName, model: type[BaseModel]) -> list[BaseModel]:
-    with database.read() as connection:
-        stored = studies.get(connection, campaign.sequence, stage)
+    stored = database.query(studies.get, campaign.sequence, stage)
     return [] if stored is None else [model.model_validate(item) for item in stored["items"]]
 
 
@@ -188,8 +186,7 @@ def kinds_of(space: ParameterSpace) -> dict[str, Kind]:
 
 
 def _campaign(database: Database, campaign_id: str) -> StoredCampaign:
-    with database.read() as connection:
-        return campaigns.get(connection, campaign_id)
+    return database.query(campaigns.get, campaign_id)
 
 
 def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
@@ -198,8 +195,7 @@ def _pinned(campaign: StoredCampaign) -> ResolvedSpec:
 
 def _evaluation_columns(database: Database, campaign: StoredCampaign) -> list[Column]:
     """Returns the columns of a file, with the parameters of the first row, or, without a row, of the rows to come."""
-    with database.read() as connection:
-        rows, _ = results.page(connection, campaign.sequence, limit=1)
+    rows, _ = database.query(results.page, campaign.sequence, limit=1)
     begun_with = resolved_spec(campaign)
     kinds = kinds_of(begun_with.space)
     if rows:

@@ -68,16 +68,14 @@ async def push(
 @router.get("")
 def list_problems(query: ProblemsQuery, database: DatabaseDependency) -> ProblemPage:
     """The current problem of each name, last pushed first; with `name` every push of it."""
-    with database.read() as connection:
-        page, following = bundles.listing(connection, name=query.name, limit=query.limit, cursor=query.cursor)
+    page, following = database.query(bundles.listing, name=query.name, limit=query.limit, cursor=query.cursor)
     return ProblemPage(items=[ProblemHeading.of(stored, links=_links(stored)) for stored in page], next_cursor=following)
 
 
 @router.get("/{problem}")
 def read(problem: str, database: DatabaseDependency) -> ProblemAnswer:
     """A problem by its name or digest."""
-    with database.read() as connection:
-        return _answer(bundles.named(connection, problem))
+    return _answer(database.query(bundles.named, problem))
 
 
 @router.get("/{problem}/archive", response_class=Response, responses={200: _ARCHIVE, 304: {"description": "It is unchanged"}})

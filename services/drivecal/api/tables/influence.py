@@ -105,8 +105,7 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
     searched, known = stored.resolved.space.searched, dict[str, Importances]()
 
     def of(values: Mapping[int, float]) -> Importances | None:
-        with stored.database.read() as connection:
-            sets = parameter_sets.load(connection, list(values))
+        sets = stored.database.query(parameter_sets.load, list(values))
         rows = [[_position(parameter, sets[number].floats[parameter.name]) for parameter in searched] for number in values]
         return importances(np.array(rows).reshape(len(values), len(searched)), np.array(list(values.values())))
 
@@ -152,8 +151,7 @@ def _notes(stored: StoredRanking, scenario: str | None, items: Sequence[Paramete
         notes.append(NEAR)
     if campaign.influence_map_id is None:
         return notes
-    with stored.database.read() as connection:
-        rows = campaign_rows(influence_maps.get(connection, campaign.influence_map_id), stored.resolved)
+    rows = campaign_rows(stored.database.query(influence_maps.get, campaign.influence_map_id), stored.resolved)
     matters = {row.parameter for row in rows if row.influential and scenario in {None, row.scenario}}
     notes += [
         f"{item.parameter} matters among the sets of this search (importance {item.lower:.2g} or more), and the influence map calls it"

@@ -51,8 +51,7 @@ class SolutionPages:
     def solutions(self, start: int, stop: int) -> list[Solution]:
         """Returns the solutions of ranks `start` + 1 to `stop`."""
         listed = self.ranked[start:stop]
-        with self.database.read() as connection:
-            sets = parameter_sets.load(connection, [solution.parameter_set for solution in listed])
+        sets = self.database.query(parameter_sets.load, [solution.parameter_set for solution in listed])
         return [
             Solution.of(
                 solution,
@@ -67,8 +66,7 @@ class SolutionPages:
 
 def ranking_of(database: Database, identifier: str, lacks: str = "") -> StoredRanking:
     """Returns the ranking of a campaign by its id. Raises NotFoundError, and ConflictError as `calibration`."""
-    with database.read() as connection:
-        campaign = campaigns.get(connection, identifier)
+    campaign = database.query(campaigns.get, identifier)
     return StoredRanking.of(database, calibration(campaign, lacks))
 
 

@@ -32,17 +32,16 @@ def rate_stored_runs(database: Database, view: View, only: ParameterSet | None =
     for scenario, setup_id in setup_ids.items():
         reached = 0
         while True:
-            with database.read() as connection:
-                unrated = ratings.unrated(
-                    connection,
-                    setup_id,
-                    evaluator_id,
-                    after=reached,
-                    upto=view.watermark,
-                    limit=chunk,
-                    parameter_set_id=number,
-                    only_failed=bench.needs_series,
-                )
+            unrated = database.query(
+                ratings.unrated,
+                setup_id,
+                evaluator_id,
+                after=reached,
+                upto=view.watermark,
+                limit=chunk,
+                parameter_set_id=number,
+                only_failed=bench.needs_series,
+            )
             if not unrated:
                 break
             ratings_of = [(run.id, bench.rate(scenario, run.metrics, run.failure)) for run in unrated]

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from drivecal.bundles.shapes import Shapes, with_coefficients
 from drivecal.contracts.specification import CampaignSpecification, Given, ParameterSpecification
 from drivecal.domain.constraints import Constraint, Constraints
-from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
+from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem, attempted, problems_of
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
 from drivecal.domain.values import Setting, Value, billionths, decimal, text
 
@@ -59,10 +59,9 @@ def search_parameters(parameters: str | Sequence[ParameterSpecification] | None,
             continue
         usual = _default_space(function)[listed.name]
         unsaid = {"unit": usual.unit} if listed.unit == "1" else {}
-        try:
-            parameter = Parameter.declared(**listed.model_dump() | unsaid)
-        except InvalidInputError as error:
-            named = (replace(each, field=where + each.field.removeprefix(listed.name)) for each in error.problems)
+        parameter = attempted(Parameter.declared, **listed.model_dump() | unsaid)
+        if isinstance(parameter, InvalidInputError):
+            named = (replace(each, field=where + each.field.removeprefix(listed.name)) for each in parameter.problems)
             diagnostics.problems.extend(named)
             continue
         grids.append(parameter)
@@ -129,10 +128,7 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
         if name not in names:
             diagnostics.add(where, f"{function.name} has no parameter {name!r}", _remedy(names))
         elif name in by_name:
-            try:
-                by_name[name].index(value, where)
-            except InvalidInputError as error:
-                diagnostics.problems.extend(error.problems)
+            diagnostics.problems.extend(problems_of(attempted(by_name[name].index, value, where)))
         else:
             _check_free(function, defaults[name], value, where, diagnostics)
         fixed[name] = value
@@ -204,13 +200,11 @@ def free_values(given: Mapping[str, Given], function: Function, field: str, diag
 
 def notes_off_grid(values: Mapping[str, Value], function: Function) -> tuple[str, ...]:
     """Returns a note for each of `free_values` that no campaign on the driving function's own space asks for."""
-    notes = []
-    for name, parameter in _default_space(function).items():
-        try:
-            parameter.index(values[name], name)
-        except InvalidInputError as error:
-            notes += [f"{name}: {problem.message} ({problem.remedy}); it is simulated as given" for problem in error.problems]
-    return tuple(notes)
+    return tuple(
+        f"{name}: {problem.message} ({problem.remedy}); it is simulated as given"
+        for name, parameter in _default_space(function).items()
+        for problem in problems_of(attempted(parameter.index, values[name], name))
+    )
 
 
 def _value(given: Setting) -> Value:

@@ -94,8 +94,7 @@ class CampaignFront:
         first = next((each for each in self.ranked if (each.iteration, each.individual) == (0, 0)), None)
         if first is None or campaign.baseline is None:
             return None
-        with self.stored.database.read() as connection:
-            known = parameter_sets.load(connection, [first.parameter_set])[first.parameter_set]
+        known = self.stored.database.query(parameter_sets.load, [first.parameter_set])[first.parameter_set]
         return first if known.floats == campaign.baseline.parameters else None
 
     @cached_property

@@ -43,8 +43,7 @@ def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: Par
     alike = (each.equals(ranking[0]) for each in ranking)
     equal = sum(1 for _ in takewhile(bool, alike))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
-    with database.read() as connection:
-        sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
+    sets = database.query(parameter_sets.load, [solution.parameter_set for solution in (*best, *worse)])
     return beside(space, *([sets[solution.parameter_set] for solution in some] for some in (best, worse)))
 
 

@@ -154,13 +154,12 @@ def stages_of(database: Database, campaign: StoredCampaign, problem: Calibration
     view = View(campaign.sequence, campaign.watermark or 0, problem.bench, isolated, workers=workers, seed=seed)
     rate_stored_runs(database, view)
     view, claims = _with_claims(database, view, problem)
-    with database.read() as connection:  # what was known of the map when the campaign was submitted
-        warnings = warnings_of(connection, problem, campaign.influence_map_id, campaign.created_at)
+    # what was known of the map when the campaign was submitted
+    warnings = database.query(warnings_of, problem, campaign.influence_map_id, campaign.created_at)
     problem = replace(problem, notes=(*problem.notes, *claims, *warnings))
     names = [kind.name for kind, _ in STAGES]
     for kind, is_wanted in STAGES if campaign.stage is None else STAGES[names.index(campaign.stage) :]:
-        with database.read() as connection:
-            campaign = campaigns.by_sequence(connection, campaign.sequence)
+        campaign = database.query(campaigns.by_sequence, campaign.sequence)
         if is_wanted(campaign, problem):
             yield kind(database, campaign, problem, _with_map(database, view, campaign, problem) if kind.uses_map else view)
 
@@ -184,7 +183,6 @@ def _with_claims(database: Database, view: View, problem: CalibrationProblem) ->
 def _with_map(database: Database, view: View, campaign: StoredCampaign, problem: CalibrationProblem) -> View:
     if campaign.influence_map_id is None:
         return view
-    with database.read() as connection:
-        stored = influence_maps.get(connection, campaign.influence_map_id)
+    stored = database.query(influence_maps.get, campaign.influence_map_id)
     check_basis(stored, problem)
     return replace(view, influence_map=stored_map(stored), influence_map_sequence=stored.sequence)

@@ -28,8 +28,7 @@ def checkable(database: Database, view: View, problem: CalibrationProblem) -> li
     """Rates the stored runs that claims speak of, and returns a sample that checks them; empty if none answers a cell."""
     for version in view.earlier:
         rate_stored_runs(database, replace(view, bench=bench_of(version, view.bench)))
-    with database.read() as connection:
-        return sample(connection, view.bench, view.earlier, problem.space, view.watermark)
+    return database.query(sample, view.bench, view.earlier, problem.space, view.watermark)
 
 
 class ClaimCheck(Stage):

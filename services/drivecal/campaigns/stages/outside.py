@@ -65,8 +65,7 @@ class OutsideSearch(SearchStage):
             return None
         if time.monotonic() < self._look_at:
             return self._seen
-        with self._database.read() as connection:
-            closes, self._offered = outside_sets.waiting(connection, self._campaign.sequence, self._most)
+        closes, self._offered = self._database.query(outside_sets.waiting, self._campaign.sequence, self._most)
         reason: SearchEnd | None = None
         if self._is_spent:
             reason = "budget"

@@ -11,7 +11,6 @@ from drivecal.analysis.optima import one_per_region_first
 from drivecal.analysis.robustness import Robustness, RobustnessStudy, failing_at_most, key_of
 from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
-from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
@@ -103,9 +102,8 @@ class RobustnessStage(StudyStage):
             source = self._campaign if of is None else campaigns.get(connection, of)
         resolved = replace(resolved_spec(source), weights=self._problem.weights, goals=self._goals)
         stored = StoredRanking(self._database, source, resolved, 0 if of is None else self._view.watermark)
-        best, worse = (self._on_front if len(self._goals.objectives) > 1 else self._within)(stored.sets)
-        with self._database.read() as connection:
-            sets = parameter_sets.load(connection, [solution.parameter_set for solution in (*best, *worse)])
+        best, worse = self._split(stored.sets)
+        sets = self._database.query(parameter_sets.load, [solution.parameter_set for solution in (*best, *worse)])
         named = list(self._problem.robust_sets)
         best_sets = [sets[solution.parameter_set] for solution in best]
         listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
@@ -117,20 +115,15 @@ class RobustnessStage(StudyStage):
             for position in (*range(len(named)), *(len(named) + place for place in chosen))
         ]
 
-    def _within(self, ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
-        """The sets that count as the best or cannot be told from it, which break constraints no more than the best set, and others."""
+    def _split(self, ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+        """The sets of the front, or with one objective the sets that count as the best or cannot be told from it, which break constraints
+        no more than the best set; and others."""
         ranked = ranking.best_first()
         best = [each for each in ranked if each.is_close or ranked[0].equals(each)]
+        if len(self._goals.objectives) > 1:
+            best = [member.solution for member in ranking.front()]
         chosen = {each.parameter_set for each in best}
         return best[:MOST_BEST], [each for each in ranked if each.parameter_set not in chosen][:MOST_WORSE]
-
-    @staticmethod
-    def _on_front(ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
-        """The sets of the front, and others."""
-        front = [member.solution for member in ranking.front()]
-        members = {solution.parameter_set for solution in front}
-        others = [solution for solution in ranking.best_first() if solution.parameter_set not in members]
-        return front[:MOST_BEST], others[:MOST_WORSE]
 
     @property
     def _at_most(self) -> int:
@@ -151,7 +144,6 @@ class RobustnessStage(StudyStage):
         if box is None:
             return None
         samples = self._wanted.samples
-        asked: list[tuple[Bench, list[RequestedCell]]] = []
         by_vehicle: dict[tuple[int, tuple[tuple[str, float], ...]], list[RequestedCell]] = {}
         for solution in box.solutions:
             for sample, vehicle in enumerate(box.vehicles):
@@ -160,8 +152,10 @@ class RobustnessStage(StudyStage):
                     RequestedCell(solution * samples + sample, scenario, self._examined[solution].parameters)
                     for scenario in scenarios
                 ]
-        for (seed, values), cells in by_vehicle.items():
-            asked.append((replace(bench, values={**bench.values, **dict(values)}, seed=seed), cells))
+        asked = [
+            (replace(bench, values={**bench.values, **dict(values)}, seed=seed), cells)
+            for (seed, values), cells in by_vehicle.items()
+        ]
         return Round(box.number, asked, exact_policy(self._problem))
 
     def _take(self, number: int, answers: Sequence[CellScore]) -> None:

@@ -306,15 +306,13 @@ class Stage(ABC):
         counts = CellCounts(**self._tracker.counts)
         if not self.ends_early or counts.failed < ALL_FAILED or counts.failed != counts.requested:
             return
-        with self._database.read() as connection:
-            first = evaluations.first_simulated(connection, self._campaign.sequence, self.name, ALL_FAILED)
+        first = self._database.query(evaluations.first_simulated, self._campaign.sequence, self.name, ALL_FAILED)
         if len(first) == ALL_FAILED and all(outcome is Outcome.FAILED for outcome in first):
             raise NoResultError(f"all {counts.failed:,} tried cells of the {self.name} gave no result{self._causes()}")
 
     def _causes(self) -> str:
         """Returns the most frequent causes of failed cells, for an error message."""
-        with self._database.read() as connection:
-            causes = broken_down(connection, self._campaign.sequence)
+        causes = self._database.query(broken_down, self._campaign.sequence)
         listed = "; ".join(f"{cause.cells:,} x {cause.cause}: {cause.detail or 'no message'}" for cause in causes[:3])
         return f": {listed}" if listed else ""
 

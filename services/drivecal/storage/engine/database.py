@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Concatenate, ParamSpec, TypeVar
 
 from sqlalchemy import URL, Connection, Engine, create_engine, event
 
@@ -22,6 +22,9 @@ from drivecal.storage.engine.types import to_json
 
 OLDEST_SQLITE = (3, 35, 0)
 """The first release with RETURNING."""
+
+Given = ParamSpec("Given")
+Answered = TypeVar("Answered")
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +197,13 @@ class Database:
                 connection = connection.execution_options(isolation_level="REPEATABLE READ", postgresql_readonly=True)
             with connection.begin():
                 yield connection
+
+    def query(
+        self, query: Callable[Concatenate[Connection, Given], Answered], *given: Given.args, **named: Given.kwargs
+    ) -> Answered:
+        """Returns what a function returns that takes a connection, as `read` yields it, and these arguments."""
+        with self.read() as connection:
+            return query(connection, *given, **named)
 
     @contextmanager
     def transaction(self) -> Iterator[Connection]:

@@ -19,25 +19,20 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sqlalchemy import Connection, Row, Select, SmallInteger, select, type_coerce
+from sqlalchemy import Connection, Row, Select, select
 
 from drivecal.domain.evaluations import Donor
 from drivecal.storage.engine.bulk import insert, rows_among
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import parameter_sets, ratings, reference_indexes, reference_keys, runs
 from drivecal.storage.references.parameter_sets import parse
+from drivecal.storage.references.runs import ORIGIN
 
 KeyFunction = Callable[[tuple[str, ...], npt.NDArray[np.int64]], Sequence[bytes]]
 """Maps names and values in billionths, shape (n, n_p), to n keys of 16 bytes."""
 RUNS_AT_A_TIME = 50_000
 """Some 100 MB of memory, and other writers wait for about a second."""
 
-_ORIGIN = (
-    runs.c.campaign_sequence,
-    type_coerce(runs.c.stage, SmallInteger),  # by its number: stages are ordered as they run, not by name
-    runs.c.iteration,
-    runs.c.individual,
-)
 _COLUMNS = "reference_keys (index_id, key, run_id, evaluation_id, score, rating, failure, since)"
 _COPIED = (runs.c.evaluation_id, ratings.c.score, ratings.c.rating, runs.c.failure, ratings.c.since)
 
@@ -108,7 +103,7 @@ def _sync_chunk(
 def _rated(connection: Connection, setup_id: int, evaluator: str, after: int, upto: int, chunk: int) -> Sequence[Row[Any]]:
     """Returns the next `chunk` runs that the evaluator rated, by number: id, columns that keys copy, origin, parameter set."""
     query = (
-        select(runs.c.id, *_COPIED, *_ORIGIN, parameter_sets.c.parameter_values)
+        select(runs.c.id, *_COPIED, *ORIGIN, parameter_sets.c.parameter_values)
         .join(parameter_sets)
         .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
         .limit(chunk)
@@ -161,7 +156,7 @@ def _keys(rows: Sequence[Row[Any]], key_function: KeyFunction) -> list[bytes]:
 def _first(connection: Connection, index: int, keys: Sequence[bytes]) -> dict[bytes, tuple[int, ...]]:
     """Returns the earliest origin of each stored key."""
     query = (
-        select(reference_keys.c.key, *_ORIGIN)
+        select(reference_keys.c.key, *ORIGIN)
         .join(runs, runs.c.id == reference_keys.c.run_id)
         .where(reference_keys.c.index_id == index)
     )

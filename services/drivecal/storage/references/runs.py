@@ -7,7 +7,7 @@ from itertools import repeat
 from statistics import fmean
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Select, case, func, select
+from sqlalchemy import ColumnElement, Connection, Select, SmallInteger, case, func, select, type_coerce
 
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
@@ -125,11 +125,8 @@ def look_up_exact(
     connection: Connection, setup_id: int, parameter_set_ids: Sequence[int], evaluator: str, watermark: int
 ) -> dict[int, Donor]:
     """The stored results of parameter sets in one setup, by parameter set id; of runs that `evaluator` rated, both up to `watermark`."""
-    query = (
-        select(runs.c.parameter_set_id, runs.c.evaluation_id, runs.c.id, ratings.c.score, ratings.c.rating, runs.c.failure)
-        .join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-        .where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
-    )
+    donor = runs.c.evaluation_id, runs.c.id, ratings.c.score, ratings.c.rating, runs.c.failure
+    query = rated_by(evaluator, setup_id, watermark, runs.c.parameter_set_id, *donor)
     ids = sorted(int(identifier) for identifier in parameter_set_ids)
     return {identifier: Donor(*donor) for identifier, *donor in rows_among(connection, query, runs.c.parameter_set_id, ids)}
 
@@ -148,9 +145,9 @@ def rated(
     connection: Connection, setup_id: int, evaluator: str, watermark: int, limit: int, stage: StageName | None = None
 ) -> list[RatedRun]:
     """Returns the last `limit` runs of a setup up to `watermark`, of one `stage` or all, in the order of references."""
-    place = runs.c.campaign_sequence, runs.c.stage, runs.c.iteration, runs.c.individual, runs.c.id
-    query = _rated(setup_id, evaluator, watermark).where(*(() if stage is None else (runs.c.stage == stage,)))
-    rows = connection.execute(query.order_by(*(column.desc() for column in place)).limit(limit)).all()
+    query = rated_by(evaluator, setup_id, watermark, *_RATED).join(parameter_sets)
+    query = query if stage is None else query.where(runs.c.stage == stage)
+    rows = connection.execute(query.order_by(*(column.desc() for column in (*ORIGIN, runs.c.id))).limit(limit)).all()
     return [RatedRun(number, ParameterSet.from_json(values), score, rating) for number, values, score, rating in reversed(rows)]
 
 
@@ -161,7 +158,8 @@ def in_order_of_keys(
     `others`. The connection must stay open meanwhile."""
     values = parameter_sets.c.parameter_values
     query = (
-        _rated(setup_id, evaluator, watermark)
+        rated_by(evaluator, setup_id, watermark, *_RATED)
+        .join(parameter_sets)
         .where(*(values.contains(f'"{name}": ', autoescape=True) for name in names))
         .where(*(~values.contains(f'"{name}": ', autoescape=True) for name in others))
         .order_by(parameter_sets.c.key)
@@ -171,12 +169,16 @@ def in_order_of_keys(
         yield RatedRun(number, ParameterSet.from_json(text), score, rating)
 
 
-def _rated(setup_id: int, evaluator: str, watermark: int) -> Select[Any]:
-    """Selects the columns of `RatedRun` of a setup's runs that an evaluator rated, both up to a watermark."""
-    of_evaluator = (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator)
-    columns = runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating
-    joined = select(*columns).select_from(runs.join(parameter_sets).join(ratings, of_evaluator))
+def rated_by(evaluator: str, setup_id: int, watermark: int, *columns: ColumnElement[Any]) -> Select[Any]:
+    """Selects columns of a setup's runs that an evaluator rated, and of their ratings, both up to a watermark."""
+    joined = select(*columns).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
     return joined.where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+
+
+_RATED = runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating
+"""The columns of `RatedRun`."""
+ORIGIN = runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual
+"""The columns that order references. Stages have their numbers here: they are ordered as they run, not by name."""
 
 
 def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:
