@@ -80,7 +80,8 @@ class BesideBaseline:
 class Chosen:
     """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
     score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
-    objective and constraint has a value. `is_random`: other seeds give other values. `bounded`: as of `Evidence`."""
+    objective and constraint has a value. `is_random`: other seeds give other values. `bounded`: as of `Evidence`. `failures` and
+    `failure_interval` as in `Best`."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -93,6 +94,8 @@ class Chosen:
     failed: Sequence[str] = ()
     scenarios: int = 1
     bounded: Sequence[str] = ()
+    failures: int = 0
+    failure_interval: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -533,12 +536,13 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
-    cells, best = campaign.cells, campaign.best
-    if best is not None and best.failure_interval is not None and known.chosen is None:
+    cells, judged = campaign.cells, known.chosen or campaign.best
+    if judged is not None and judged.failure_interval is not None:
         constraints = map(ConstraintSpecification.model_validate, campaign.spec.get("constraints") or ())
         is_permitted = any(each.counts_failures and each.scenarios == "all" for each in constraints)
-        light: Light | Literal["neutral"] = "amber" if best.failures and not is_permitted else "neutral"
-        yield verdict("failing_runs", light, failures=best.failures, most=best.failure_interval[1])
+        light: Light | Literal["neutral"] = "amber" if judged.failures and not is_permitted else "neutral"
+        subject = "the best set" if known.chosen is None else "the chosen set"
+        yield verdict("failing_runs", light, subject=subject, failures=judged.failures, most=judged.failure_interval[1])
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)

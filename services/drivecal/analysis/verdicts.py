@@ -56,7 +56,7 @@ SCORES = CONFIRMED | {
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
     "noise_unknown": "The simulator is random, and too few sets ran under several seeds: other seeds may give other scores and another "
     "order of sets. A larger budget, or more `replicates.most`, leaves runs to tell.",
-    "failing_runs": "Failed runs of the best set: {failures:,}; up to {most:.1 %} of further runs may fail (95 %).",
+    "failing_runs": "Failed runs of {subject}: {failures:,}; up to {most:.1 %} of further runs may fail (95 %).",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
     "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "

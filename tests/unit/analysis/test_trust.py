@@ -160,6 +160,7 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "neutral"
     seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
+    assert lights(campaign(), chosen=Chosen({}, failures=2, failure_interval=(0.0, 0.1)))["failing_runs"] == "amber"
     for constraint, light in (({"rate": 0.1}, "neutral"), ({"measure": "y", "at_most": 1.0, "rate": None}, "amber")):
         rated = {"optimizer": {"kind": "genetic"}, "constraints": [constraint]}
         assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == light

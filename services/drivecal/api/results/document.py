@@ -11,6 +11,7 @@ from typing import Any
 from sqlalchemy import Connection
 
 from drivecal.analysis.goals import Objective
+from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.savings import MapOrigin, account
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
 from drivecal.api.responses import campaign_answer
@@ -191,7 +192,8 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
         return Chosen(parameters, is_judged=False)
     if baseline is not None and judged.parameter_set in front.reports:
         baseline = front.reports.get(baseline.parameter_set, baseline)
-    judged = front.reports.get(judged.parameter_set, judged)
+    judged = front.reports.get(number := judged.parameter_set, judged)
+    whole = front.stored.sets.get(number) or judged  # by all of its seeds
     compared: list[BesideBaseline] = []
     if baseline:
         amounts = zip(front.goals.objectives, judged.judgement.amounts, baseline.judgement.amounts, strict=True)
@@ -206,6 +208,8 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
         failed=judged.failed,
         scenarios=len(judged.scores),
         bounded=bounded_texts(front.goals, judged.judgement.bounded, judged.replicates),
+        failures=whole.failures,
+        failure_interval=rate_bounds(*front.stored.sets.failed_runs(number)) if whole.replicates > 1 else None,
         violation=judged.violation,
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,

@@ -52,6 +52,7 @@ def front_table(front: CampaignFront, weights: str | None = None) -> list[FrontR
                 wins=None if winning is None else winning[place].share,
                 weights=None if winning is None else [list(corner) for corner in winning[place].corners],
                 alternatives=member.alternatives,
+                failures=(front.stored.sets.get(solution.parameter_set) or solution).failures,
                 degree=degrees.get(key_of(parameters)),
                 scores={name: plain(score) for name, score in solution.scores.items()},
                 values=front.goals.named_values(member.cells),

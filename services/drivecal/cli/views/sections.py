@@ -320,4 +320,6 @@ def front_marks(row: FrontRow) -> str:
     marks = [*(["knee"] if row.knee else []), *(f"best {name}" for name in row.best_in), *(["*"] if row.reused else [])]
     if row.violation > 0:
         marks.append(broken_text(row))
+    if row.failures:
+        marks.append(f"{row.failures} runs failed" if row.failures > 1 else "a run failed")
     return ", ".join(marks)
