@@ -77,7 +77,7 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
         return
     document = _document(response)
     detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
-    if response.status_code == HTTPStatus.NOT_FOUND and kind:
+    if response.status_code == HTTPStatus.NOT_FOUND and kind and not detail.startswith("there is nothing at"):
         missing = f"{NotFoundError(kind, identifier)}; "
         raise NotFoundError(kind, identifier, detail.removeprefix(missing) if detail.startswith(missing) else "")
     if response.status_code == HTTPStatus.CONFLICT:

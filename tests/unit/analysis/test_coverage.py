@@ -79,16 +79,18 @@ def importance(size: int) -> Row:
     return held / REPEATS, float(np.mean(widths)), None
 
 
-def random_sets(common: float, *, part: str) -> Row:
+def random_sets(common: float, *, part: str, rare: float = 0.0) -> Row:
     """Objectives of 20 sets of a random simulator: each under three seeds, five under nine more, the best one reported by eight others.
 
-    What a seed does to all sets is `common` times as large as a set's own noise.
+    What a seed does to all sets is `common` times as large as a set's own noise. A share of `rare` seeds makes all sets worse by fifty.
     """
     random, held, widths = np.random.default_rng(6), [], []
     for _ in range(REPEATS):
         truths, sets, known = random.normal(size=(2, 20)), [], []
         for truth in truths:
             drawn = truth[:, np.newaxis] + random.normal(size=(20, 20)) + common * random.normal(size=20)
+            if rare:
+                drawn -= 50 * ((random.random(20) < rare) - rare)
             few = np.argsort(drawn[:, :3].mean(axis=1))[:-5]
             sets.append(drawn.copy())
             drawn[few, 3:] = np.nan
@@ -108,6 +110,8 @@ def random_sets(common: float, *, part: str) -> Row:
 
 
 PLAN = smallest_plan(250, 0.05, 1)
+RARE = "best of 20 random sets, 4 % of seeds make all sets worse by fifty"
+"""Misses often: most campaigns do not meet such a seed."""
 TABLE: dict[str, Callable[[], Row]] = {
     "wrong answers, 2 % of 200 (Clopper, Pearson)": lambda: counts(0.02, 200),
     "wrong answers, 30 % of 50": lambda: counts(0.3, 50),
@@ -121,13 +125,14 @@ TABLE: dict[str, Callable[[], Row]] = {
     "importance, 100 held-out sets": lambda: importance(100),
     "best of 20 random sets": lambda: random_sets(0.0, part="best"),
     "best of 20 random sets, seeds do ten times as much as their own noise": lambda: random_sets(10.0, part="best"),
+    RARE: lambda: random_sets(0.0, part="best", rare=0.04),
     "all 20 of them": lambda: random_sets(10.0, part="all"),
     "sets of a front of two objectives": lambda: random_sets(0.0, part="front"),
 }
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", sorted(TABLE.keys() - {RARE}))
 def test_an_interval_holds_as_often_as_it_claims(name: str) -> None:
     held, width, exact = TABLE[name]()
     assert held >= 0.93

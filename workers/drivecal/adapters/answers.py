@@ -87,7 +87,7 @@ def _check_failure(failure: object, declared: Declared) -> None:
 
 def _number(name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise _error(f"{_shown(name)} is not a number: {_shown(str(value))}")
+        raise _error(f"{_shown(name)} is not a number: {_shown(repr(value))}")
     try:
         number = float(value)
     except OverflowError:

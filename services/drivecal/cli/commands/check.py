@@ -166,7 +166,8 @@ class CheckedSet:
         cell, before = _cell(self.evaluations, limit, scenario), _cell(self.baseline, limit, scenario)
         value, *within = _known(cell, limit)
         if cell is not None and value is None and cell.failures and cell.scores:  # their worth is not in the mean
-            why = f"unsure: {cell.failures} of {len(cell.scores)} runs failed, and have no value of {limit.label}"
+            counted = f"{cell.failures} of {len(cell.scores)} runs failed, and have no value of {limit.label}"
+            why = f"unsure: {counted}; limit failed runs by a rate"
             return Finding(scenario, limit.text, why, unsure=True)
         value = limit.failed if value is None else value
         if cell is None or value is None:
