@@ -53,12 +53,14 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    items = [{"parameter": key, "importance": n, "deviation": 0, "lower": n, "upper": n} for key, n in (("a", 0.1), ("b", 0.8))]
+    known = [("a", 0.1, 0.0, 0.3), ("b", 0.8, 0.5, 0.9), ("c", 0.0, 0.0, 0.01)]
+    items = [{"parameter": key, "importance": n, "deviation": 0, "lower": low, "upper": high} for key, n, low, high in known]
     answer = ImportanceAnswer.model_validate({"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items})
     client = SimpleNamespace(importance=lambda *_, scenario, variant: answer if (scenario, variant) == ("S1", "v") else None)
     monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
     lines = CliRunner().invoke(app, ["importance", "id", "--scenario", "S1", "--variant", "v"]).stdout.splitlines()
-    assert [line.split()[0] for line in lines if line.startswith(("a ", "b "))] == ["b", "a"]
+    said = [(line.split()[0], line.split()[-1]) for line in lines if line.startswith(("a ", "b ", "c "))]
+    assert said == [("b", "matters"), ("a", "clear"), ("c", "little")]
 
 
 def test_a_rerun_may_have_another_budget(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -459,7 +459,8 @@ def _rows(checked: CheckedSet, findings: Sequence[Finding]) -> Iterator[dict[str
     before = {cell.scenario: cell.score for each in list(checked.baseline.values())[:1] for cell in each.items}
     for cell in checked.first.items:
         name, own = cell.scenario, {each: getattr(cell, each) for each in ("score", *INTERVAL)}
-        broken = "; ".join(finding.limit for finding in findings if finding.scenario == name and finding.broken is not None)
+        failed = [finding for finding in findings if finding.scenario == name and finding.broken is not None]
+        broken = "; ".join(finding.limit + (" (unsure)" if finding.unsure else "") for finding in failed)
         yield {"scenario": name, **own, "baseline": before.get(name), "obtained": cell.outcome, "broken": broken}
 
 

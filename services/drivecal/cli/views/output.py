@@ -235,9 +235,12 @@ def print_importance(answer: ImportanceAnswer) -> None:
     if answer.r2 is not None:
         of = f"the score in {answer.scenario}" if answer.scenario else "the objective"
         typer.echo(f"{of}, {answer.sets:,} sets; R² of the prediction {answer.r2:.2f}, {answer.weak:g} or more is sound\n")
-        ranked = sorted(answer.items, key=lambda item: -item.importance)
-        rows = [[item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper))] for item in ranked]
-        print_columns(["parameter", "importance", "95 % from", "to"], rows)
+        rows: list[list[str]] = []
+        for item in sorted(answer.items, key=lambda item: -item.importance):
+            is_clear = answer.r2 >= answer.weak and not item.lower < answer.clear <= item.upper
+            said = ("matters" if item.lower >= answer.clear else "explains little") if is_clear else "not clear"
+            rows.append([item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper)), said])
+        print_columns(["parameter", "importance", "95 % from", "to", ""], rows)
         typer.echo(f"\nshare of the variation (half the loss of R² if shuffled); it matters from {answer.clear:g}")
     for note in answer.notes:
         say(f"note: {note}")
