@@ -67,7 +67,8 @@ export function ago(moment: string | null, now: number): string {
 }
 
 export function clock(moment: string): string {
-  return new Date(moment).toLocaleString("en-GB", { day: "numeric", month: "short", hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short" });
+  const year = moment.startsWith(new Date().toISOString().slice(0, 4)) ? {} : ({ year: "numeric" } as const);
+  return new Date(moment).toLocaleString("en-GB", { day: "numeric", month: "short", ...year, hour: "2-digit", minute: "2-digit", second: "2-digit", timeZoneName: "short" });
 }
 
 /** A unit as a cell of a table; nothing for values without unit. */
