@@ -5,7 +5,7 @@ import { kindOf, madeOfText, pairOf, rangeOf, tableOf, withColumns } from "$lib/
 
 const row = (rank: number, more: Partial<FrontRow> = {}): FrontRow => ({
   rank, objectives: { f1: rank, f2: -rank }, uncertainty: {}, weighted: null, violation: 0, undecided: false, constraints: { y: 2 }, values: { "f2@plain": -rank }, knee: rank === 2, best_in: rank === 1 ? ["f1"] : [], wins: 0.2, weights: null,
-  alternatives: 1, replicates: 1, seeds: [], degree: null, scores: { plain: rank }, reused: [], answers: { plain: "simulated" }, parameters: { x: 0.5, rank: 3, mode: "eco" }, iteration: 0, individual: rank, ...more,
+  alternatives: 1, replicates: 1, failures: 0, seeds: [], degree: null, scores: { plain: rank }, reused: [], answers: { plain: "simulated" }, parameters: { x: 0.5, rank: 3, mode: "eco" }, iteration: 0, individual: rank, ...more,
 });
 const PARAMETERS = ["x", "parameter_rank", "mode"].map((column) => ({ name: column.replace("parameter_", ""), column }));
 const ROWS = [row(1), row(2), row(3)];
