@@ -69,13 +69,6 @@ def test_what_is_not_finite_has_no_billionths(value: str) -> None:
         billionths(Decimal(value))
 
 
-@given(grids() | lattices(), st.data())
-def test_index_and_value_are_inverse(parameter: Parameter, data: st.DataObject) -> None:
-    index = data.draw(st.integers(0, parameter.n_values - 1))
-    assert parameter.index(parameter.value(index)) == index
-    assert billionths(parameter.value(index)) == parameter.billionths(index)
-
-
 @given(lattices())
 def test_values_of_a_lattice_are_distinct_and_evenly_spaced_to_the_ninth_decimal(parameter: Parameter) -> None:
     distances = np.diff(parameter.billionths_at(np.arange(parameter.n_values)))
