@@ -153,38 +153,3 @@ def test_an_id_that_is_a_path_leads_nowhere(api: ApiProcess, path: str) -> None:
         response = api.http.get(f"/api/v1/{path.format(quoted)}")
         assert refused(response)["status"] == 404, identifier
         assert "root:" not in response.text
-
-
-NAMES = [
-    *(
-        "../planner",
-        "/etc/passwd",
-        "os.system",
-        "os:system",
-        "drivecal.highway.planner.plugin:FRENET",
-        "frenet/../frenet",
-        "frenet\0",
-        "http://x/y",
-    ),
-    *("__import__('os')", "${jndi:ldap://x}", "frenet;ls", "..", ".", "a" * 65, "frenet\n", "FRENET", "Ｆrenet", ""),
-]
-FIELDS = {
-    "driving_function": ({"driving_function": "?"}, "/api/v1/campaigns"),
-    "catalogue": ({"catalogue": "?"}, "/api/v1/campaigns"),
-    "catalogue[0]": ({"catalogue": ["?"]}, "/api/v1/campaigns"),
-    "parameters": ({"parameters": "?"}, "/api/v1/campaigns"),
-    "evaluator": ({"evaluator": "?"}, "/api/v1/campaigns"),
-    "vehicle.model": ({"vehicle": {"model": "?"}}, "/api/v1/campaigns"),
-    "optimizer.kind": ({"optimizer": {"kind": "?"}}, "/api/v1/campaigns"),
-    "sensitivity.map": ({"sensitivity": {"map": "?"}}, "/api/v1/campaigns"),
-    "scenario": ({"parameters": {"P1": 0}, "scenario": "?"}, "/api/v1/evaluations"),
-}
-
-
-@pytest.mark.parametrize("field", FIELDS)
-def test_a_name_that_is_a_path_a_module_or_a_command_is_only_a_name_that_nothing_has(api: ApiProcess, field: str) -> None:
-    document, path = FIELDS[field]
-    for name in NAMES if field == "driving_function" else sample(NAMES, 6):
-        content = compact(document).replace(b'"?"', json.dumps(name).encode())
-        errors = refused(api.http.post(path, content=content, headers=JSON))["errors"]
-        assert field in {error["field"] for error in errors}, name

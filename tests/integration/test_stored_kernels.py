@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.support.lane_keeper import LANE_KEEPER, write_lane_keeper
-from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, ROUTE, drive, driven, motorway
+from tests.support.motorways import CONTROLLERS, EVERYTHING, PARAMETERS, ROUTE, compile_program, drive, driven, motorway
 from tests.support.simulators import lost
 
 import drivecal.highway.drive
@@ -29,11 +28,14 @@ STEERS = """
 def control(o, p):
     return -0.01 * o["lane_offset"], 0.0
 """
-PYTHON: dict[str, Any] = {"kind": "python", "file": "steers.py"}
+KEEPS = """
+def control(o, p):
+    return o["road_curvature"] - 0.002 * o["lane_offset"] - 0.04 * o["heading_error"]
+"""
 SESSIONS: dict[str, dict[str, Any]] = {
-    "acceleration": CONTROLLERS["python"],
-    "curvature": LANE_KEEPER,
-    "steering": PYTHON | {"output": ["steering", "acceleration"]},
+    "acceleration": CONTROLLERS["process"],
+    "curvature": {"kind": "python", "file": "keeps.py", "output": ["curvature"]},
+    "steering": {"kind": "python", "file": "steers.py", "output": ["steering", "acceleration"]},
 }
 WATCHED = """
 import json, sys
@@ -120,7 +122,8 @@ def control(observation, parameters):
 )
 def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario: dict[str, Any], tmp_path: Path) -> None:
     bundle, scratch = motorway(tmp_path / "bundle"), tmp_path / "scratch"
-    write_lane_keeper(bundle)
+    compile_program(bundle)
+    (bundle / "keeps.py").write_text(KEEPS)
     (bundle / "steers.py").write_text(STEERS)
     (bundle / "filled.rou.xml").write_text(ENTERING)
     (scratch / "work").mkdir(parents=True)

@@ -1,7 +1,6 @@
 import random
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Donor
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import ParameterSet
-from drivecal.domain.values import billionths, decimal
+from drivecal.domain.values import decimal
 from drivecal.reduction.keys import ReferenceKeys, billionths_matrix
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, reference_keys, runs
@@ -184,13 +183,3 @@ def test_many_keys_are_looked_up_at_once(database: Database) -> None:
     with database.read() as connection:
         result = reference_keys.look_up(connection, 1, setup, keys_of_sets(sets), EVALUATOR, stored[-1].id)
     assert [result[key].run for key in keys_of_sets(sets)] == [run.id for run in stored]
-
-
-def test_values_are_read_back_exactly_however_large_or_fine() -> None:
-    chance = random.Random(0)
-    numbers = [0, 1, -1, 10**15, -(10**15), 10**15 - 1, *(chance.randint(-(10**15), 10**15) for _ in range(5000))]
-    sets = [ParameterSet(("P1", "P2"), pair) for pair in pairwise(numbers)]
-    ((names, positions, values),) = parameter_sets.parse([item.to_json() for item in sets])
-    assert (names, positions) == (("P1", "P2"), list(range(len(sets))))
-    assert values.tolist() == [list(entry.billionths) for entry in sets]
-    assert billionths(decimal("-0.000000001")) == -1

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.values import faults_of, faulty_fields
+from tests.unit.domain.test_parameters import grids
 
 from drivecal.domain.parameters import Parameter, ParameterSet, ParameterSpace
 from drivecal.domain.values import BILLION, TEXTS, code, from_billionths
@@ -37,7 +38,7 @@ def lattices() -> st.SearchStrategy[Parameter]:
     )
 
 
-@given(continuous() | integers() | lattices(), st.data())
+@given(continuous() | integers() | grids() | lattices(), st.data())
 def test_values_indices_and_bounds_agree_without_a_table(parameter: Parameter, data: st.DataObject) -> None:
     indices = data.draw(st.lists(st.integers(0, parameter.n_values - 1), min_size=1, max_size=5))
     values = [parameter.billionths(index) for index in indices]

@@ -69,13 +69,6 @@ def test_what_is_not_finite_has_no_billionths(value: str) -> None:
         billionths(Decimal(value))
 
 
-@given(grids() | lattices(), st.data())
-def test_index_and_value_are_inverse(parameter: Parameter, data: st.DataObject) -> None:
-    index = data.draw(st.integers(0, parameter.n_values - 1))
-    assert parameter.index(parameter.value(index)) == index
-    assert billionths(parameter.value(index)) == parameter.billionths(index)
-
-
 @given(lattices())
 def test_values_of_a_lattice_are_distinct_and_evenly_spaced_to_the_ninth_decimal(parameter: Parameter) -> None:
     distances = np.diff(parameter.billionths_at(np.arange(parameter.n_values)))
@@ -163,13 +156,6 @@ sets = st.dictionaries(names, amounts, min_size=1, max_size=11).map(
 def test_different_sets_have_different_keys(one: ParameterSet, other: ParameterSet) -> None:
     same = dict(zip(one.names, one.billionths, strict=True)) == dict(zip(other.names, other.billionths, strict=True))
     assert (one.key == other.key) == same
-
-
-@given(sets, st.data())
-def test_a_change_of_one_billionth_changes_the_key(one: ParameterSet, data: st.DataObject) -> None:
-    position = data.draw(st.integers(0, len(one.names) - 1))
-    moved = tuple(int(value) + (i == position) for i, value in enumerate(one.billionths))
-    assert ParameterSet(one.names, moved).key != one.key
 
 
 def test_keys_are_known() -> None:

@@ -1,4 +1,4 @@
-"""Rows of reference lines, and the way between Cartesian and Frenet coordinates there and back."""
+"""Rows of reference lines, and what lies between them."""
 
 from math import cos, sin
 
@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.support.frenet import project
-from tests.support.roads import CurvatureKnot, RoadDesign, line_of, to_cartesian
+from tests.support.roads import CurvatureKnot, RoadDesign, line_of
 from tests.support.values import faults_of
 
 from drivecal.domain.roads import Road, pose_on, reference_line, resampled
 
 KNOTS = ((100.0, 0.0), (180.3, 1 / 250), (260.1, 1 / 250), (333.3, -1 / 180), (600.0, -1 / 180))
 CURVY = RoadDesign(600.0, 2, 3.75, tuple(CurvatureKnot(s, curvature) for s, curvature in KNOTS))
+LINE = line_of(CURVY)
 
 
 def test_rows_at_other_distances_are_on_the_same_line() -> None:
@@ -44,15 +44,3 @@ def test_the_line_between_its_rows_follows_the_finer_line(s: float) -> None:
     assert y == pytest.approx(fine[row, 2] + shift * sin(fine[row, 3]), abs=5e-6)
     assert heading == pytest.approx(fine[row, 3] + shift * fine[row, 4], abs=5e-6)
     assert curvature == pytest.approx(fine[row, 4], abs=2e-5)
-
-
-LINE = line_of(CURVY)
-
-
-@given(st.floats(-20.0, 620.0), st.floats(-6.0, 12.0), st.floats(-15.0, 15.0))
-def test_projection_undoes_to_cartesian(s: float, d: float, guess_error: float) -> None:
-    x, y, _ = to_cartesian(LINE, s, d)
-    found_s, found_d = project(LINE, x, y, s + guess_error)
-    # The line's own second derivative jumps by some 1e-8 between rows: the foot point is that sharp.
-    assert found_s == pytest.approx(s, abs=1e-6)
-    assert found_d == pytest.approx(d, abs=1e-9)

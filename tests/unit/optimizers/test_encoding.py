@@ -25,23 +25,10 @@ grids = st.lists(sizes, min_size=1, max_size=12).map(lambda found: np.array(foun
 seeds = st.integers(0, 2**32)
 
 
-def some_indices(n_values: Indices, seed: int, count: int = 20) -> Indices:
-    return np.random.default_rng(seed).integers(0, n_values, size=(count, len(n_values)))
-
-
 @given(grids)
 def test_each_parameter_gets_the_fewest_bits_that_hold_its_values(n_values: Indices) -> None:
     for n, k in zip(n_values.tolist(), BitEncoding(n_values).bits.tolist(), strict=True):
         assert 2**k >= n > 2 ** (k - 1)
-
-
-@given(grids, seeds)
-def test_every_index_survives_the_way_to_bits_and_back(n_values: Indices, seed: int) -> None:
-    encoding = BitEncoding(n_values)
-    indices = some_indices(n_values, seed)
-    chromosomes = encoding.chromosomes(encoding.patterns(indices))
-    assert chromosomes.shape == (len(indices), int(encoding.bits.sum()))
-    assert np.array_equal(encoding.indices(encoding.from_chromosomes(chromosomes)), indices)
 
 
 @given(grids, seeds)

@@ -19,13 +19,11 @@ from drivecal.domain.errors import InvalidInputError, ReplayError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.cma_es import CMA_ES
-from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.population import ranking
 from drivecal.optimizers.repair import checked_proposal
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin, Proposal
 
-HIGHWAY = np.array([59, 201, 201, 2001, 1501, 101, 201, 2001, 101, 201, 201])
 SMALL = np.array([5, 16, 3, 40])
 
 Told = list[tuple[Indices, npt.NDArray[np.bool_]]]
@@ -168,14 +166,6 @@ def test_settings_of_another_optimizer_are_refused() -> None:
         RANDOM.restore(GeneticSettings(), SMALL, {})
 
 
-def test_defaults_are_those_of_the_campaign_file() -> None:
-    defaults = {
-        "kind": "genetic", "population": 1000, "iterations": 20, "start": "lhs", "seed": 1,
-        "selection": 0.8, "recombination": 0.7, "mutation": 0.5,
-    }  # fmt: skip
-    assert GeneticSettings().model_dump(include=set(defaults)) == defaults
-
-
 @every
 @pytest.mark.parametrize(
     ("field", "value"),
@@ -217,27 +207,6 @@ def test_random_search_draws_every_value_of_the_grid_equally_often() -> None:
     assert changed.all()
     for column, n in zip(population.T, SMALL.tolist(), strict=True):
         assert stats.chisquare(np.bincount(column, minlength=n)).pvalue > 1e-4
-
-
-def is_child(child: npt.NDArray[np.bool_], one: npt.NDArray[np.bool_], other: npt.NDArray[np.bool_], flips: int) -> bool:
-    return int(((child != one) & (child != other)).sum()) <= flips
-
-
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=examples(25))
-def test_apart_from_one_flip_every_bit_of_a_child_is_one_of_its_parents(seed: int) -> None:
-    encoding = BitEncoding(HIGHWAY)
-    optimizer = GENETIC.create(chosen(GENETIC, population=14, mutation=1.0, seed=seed), HIGHWAY)
-    before = optimizer.ask().population
-    parents = encoding.chromosomes(np.array(optimizer.state()["individuals"]))
-    objectives, ratings = coarse(before)
-    optimizer.tell(objectives, ratings)
-    changed = optimizer.ask().changed
-    eligible = parents[ranking(objectives, ratings)[:11]]
-    for child in encoding.chromosomes(np.array(optimizer.state()["individuals"])[changed]):
-        assert any(
-            is_child(child, one, other, flips=1) for i, one in enumerate(eligible) for j, other in enumerate(eligible) if i != j
-        )
 
 
 WHOLE, SOME = np.ones(3, dtype=np.bool_), np.array([True, False, True])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 from tests.support.effort import examples
 
 from drivecal.domain.parameters import Indices
@@ -123,6 +124,20 @@ def test_a_radial_design_stays_in_its_box(case: Case, data: st.DataObject) -> No
     assert np.all((design.points >= lower) & (design.points <= upper))
     for column in range(n_p):
         assert_steps(design, case.n_values, column, (column,), int(lower[column]), int(upper[column]))
+
+
+def test_points_fill_the_box_evenly_and_steps_follow_the_law() -> None:
+    n_values = np.array([1001])
+    design = radial_design(n_values, SobolRows(COLUMNS, 3), np.array([200]), np.array([600]), 4096)
+    base = design.points[design.first[0], 0]
+    assert stats.kstest((base - 200) / 400, "uniform").pvalue > 0.01
+    lengths = np.abs(design.steps[0]) * 1000
+    assert lengths.min() >= 100
+    grid = np.arange(401)
+    allowed = np.abs(grid[:, None] - grid[None, :]) >= 100
+    shares = (allowed / allowed.sum(axis=1, keepdims=True)).ravel() / 401
+    exact = float((shares * np.abs(grid[:, None] - grid[None, :]).ravel()).sum())
+    assert lengths.mean() == pytest.approx(exact, rel=0.02)
 
 
 @given(cases(), st.data())

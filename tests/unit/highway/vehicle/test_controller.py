@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from tests.unit.highway.vehicle.driving import Drive, critical_speed, curve, lane_change, straight
 
-from drivecal.highway.vehicle import kernels, single_track
 from drivecal.highway.vehicle.parameters import NOMINAL, TABLE_8, SingleTrackParameters, understeer_gradient
-from drivecal.plugins.ports import Floats
 
 SPEEDS = (10.0, 20.0, 30.0, 40.0)
 CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.minimum, p.maximum) for p in TABLE_8))]
@@ -17,38 +15,6 @@ CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.m
 def stable_without_controller(vehicle: SingleTrackParameters, speed: float) -> bool:
     critical = critical_speed(vehicle)
     return critical is None or speed < critical
-
-
-def closed_loop(p: SingleTrackParameters, v: float) -> Floats:
-    """Linear dynamics of (lateral error, heading error, side slip, yaw rate, steering angle) along a straight trajectory."""
-    front, rear, ahead, behind = p.cornering_stiffness_front, p.cornering_stiffness_rear, p.distance_front, p.distance_rear
-    steady = NOMINAL.wheelbase + understeer_gradient(NOMINAL) * v**2
-    course = kernels.LATERAL_DAMPING / v
-    gains = steady * np.array([kernels.LATERAL_STIFFNESS / v**2, course, course, kernels.YAW_RATE_GAIN / v, 0.0])
-    slip = [-(front + rear) / (p.mass * v), (behind * rear - ahead * front) / (p.mass * v**2) - 1.0, front / (p.mass * v)]
-    yaw = [
-        (behind * rear - ahead * front) / p.yaw_inertia,
-        -(ahead**2 * front + behind**2 * rear) / (p.yaw_inertia * v),
-        ahead * front / p.yaw_inertia,
-    ]
-    steering = (-gains - np.array([0.0, 0.0, 0.0, 0.0, 1.0])) / single_track.STEERING_LAG
-    return np.array([[0.0, v, v, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 0.0, *slip], [0.0, 0.0, *yaw], steering])
-
-
-@pytest.mark.parametrize("speed", np.arange(10.0, 41.0, 2.5))
-def test_with_the_nominal_vehicle_the_loop_is_well_damped(speed: float) -> None:
-    eigenvalues = np.linalg.eigvals(closed_loop(NOMINAL, speed))
-    assert eigenvalues.real.max() < -0.5
-    assert (-eigenvalues.real / np.abs(eigenvalues)).min() > 0.55
-
-
-@pytest.mark.parametrize("speed", np.arange(10.0, 41.0, 2.5))
-def test_every_corner_of_the_box_that_is_stable_alone_is_stable_in_the_loop(speed: float) -> None:
-    for corner in CORNERS:
-        if stable_without_controller(corner, speed):
-            eigenvalues = np.linalg.eigvals(closed_loop(corner, speed))
-            assert eigenvalues.real.max() < -0.15, corner
-            assert (-eigenvalues.real / np.abs(eigenvalues)).min() > 0.2, corner
 
 
 @pytest.mark.parametrize("speed", SPEEDS)

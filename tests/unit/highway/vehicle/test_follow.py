@@ -167,19 +167,6 @@ def test_the_roads_place_does_not_matter(angle: float, east: float, north: float
     assert dynamics == pytest.approx(expected, abs=1e-7)
 
 
-def test_many_calls_give_the_same_drive_as_one() -> None:
-    trajectory = lane_change(30.0, 3.0, 6.0)
-    once, often = SingleTrackModel(NOMINAL), SingleTrackModel(NOMINAL)
-    for model in (once, often):
-        model.start(0.0, 0.0, 0.0, 30.0)
-    expected, dynamics = np.zeros((400, 5)), np.zeros((400, 5))
-    once.follow(trajectory, 0.0, 4.0, expected)
-    for k in range(40):
-        often.follow(trajectory, k / 10, 0.1, dynamics[10 * k : 10 * k + 10])
-    assert dynamics == pytest.approx(expected, abs=1e-12)
-    assert once.pose == pytest.approx(often.pose, abs=1e-12)
-
-
 @pytest.mark.parametrize("column", [1, 2, 3, 4, 5, 6])
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_a_trajectory_that_is_not_finite_counts_as_unstable(column: int, value: float) -> None:
@@ -193,17 +180,6 @@ def test_a_trajectory_that_is_not_finite_counts_as_unstable(column: int, value: 
     assert np.isfinite(model.pose).all()
     # Infinite curvature or acceleration only saturates the actuators at first.
     assert not followed or (value == math.inf and column in {4, 6})
-
-
-def test_a_jump_of_the_trajectory_that_no_tyre_can_follow_is_unstable() -> None:
-    trajectory = straight(40.0, 3.0)
-    trajectory[:, 4] = 0.05
-    model = SingleTrackModel(NOMINAL)
-    model.start(0.0, 0.0, 0.0, 40.0)
-    dynamics = np.zeros((200, 5))
-    assert not model.follow(trajectory, 0.0, 2.0, dynamics)
-    assert np.abs(dynamics[:, 2]).max() <= single_track.ADHESION_LIMIT
-    assert np.array_equal(dynamics[-1], dynamics[-2]), "the rows stay at the last sound values"
 
 
 @pytest.mark.parametrize(("lateral_acceleration", "stable"), [(9.0, True), (10.5, False)])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sklearn.neural_network import MLPRegressor
 from tests.support.effort import examples
-from tests.unit.highway.vehicle.driving import lane_change, straight
+from tests.unit.highway.vehicle.driving import lane_change
 
 from drivecal.highway.training import vehicle as training
 from drivecal.highway.training.vehicle import Drives
@@ -81,19 +81,6 @@ def test_it_fades_without_a_jump() -> None:
     direction = np.array([1.0, 0.4, 0.2, 0.1, 0.3, 0.1])
     along = np.array([outputs(shipped(), direction * share) for share in np.linspace(0.9, 1.2, 3001)])
     assert np.abs(np.diff(along, axis=0)).max() < 5e-3 * np.abs(along).max()
-
-
-def straight_on(model: SingleTrackModel) -> Floats:
-    path = straight(30.0, 4.0)
-    model.start(0.0, 0.0, 0.0, 30.0)
-    dynamics = np.zeros((300, 5))
-    assert model.follow(path, 0.0, 3.0, dynamics)
-    return dynamics
-
-
-def test_straight_on_it_drives_exactly_as_the_plain_vehicle() -> None:
-    ours = straight_on(HybridModel(NOMINAL, shipped()))
-    np.testing.assert_array_equal(ours, straight_on(SingleTrackModel(NOMINAL)))
 
 
 def drive(model: SingleTrackModel, path: Floats) -> tuple[Floats, Floats, bool]:
