@@ -13,7 +13,7 @@ const ROWS = [row(1), row(2), row(3)];
 test("a front is a table with the columns of its files", () => {
   const sets = tableOf([row(1), row(2, { parameters: { x: 1, rank: 4, mode: "boost" }, iteration: 3 })], PARAMETERS, { made: ["of", null] });
   const table = withColumns(sets, { marks: ["best", null] });
-  expect(table.names).toEqual(["rank", "objective_f1", "objective_f2", "violation", "undecided", "constraint_y", "value_f2@plain", "knee", "best_in", "wins", "alternatives", "replicates", "seeds", "degree", "score_plain", "reused", "answer_plain", "iteration", "individual", "x", "parameter_rank", "mode", "made", "marks"]);
+  expect(table.names).toEqual(["rank", "objective_f1", "objective_f2", "violation", "undecided", "constraint_y", "value_f2@plain", "knee", "best_in", "wins", "alternatives", "replicates", "failures", "seeds", "degree", "score_plain", "reused", "answer_plain", "iteration", "individual", "x", "parameter_rank", "mode", "made", "marks"]);
   expect(["mode", "parameter_rank", "iteration", "marks", "knee", "degree"].map((name) => cell(table, name, 1))).toEqual(["boost", 4, 3, null, "true", null]);
   expect(tableOf([], PARAMETERS).length).toBe(0);
 });
