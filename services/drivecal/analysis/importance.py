@@ -14,7 +14,6 @@ MOST_SETS = 2_000
 HELD_OUT = 1 / 3
 TREES = 100
 REPEATS = 5
-ROUNDING = 1e-9
 RESAMPLED = 1_000
 """Bootstrap samples behind an interval."""
 
@@ -91,7 +90,7 @@ def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> 
     counts = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), size=RESAMPLED).astype(np.float64)
     means = counts @ values / len(values)
     variation = counts @ values**2 / len(values) - means**2
-    varied = variation > ROUNDING * values.var()  # a sample of equal values alone has no shares
+    varied = variation > 1e-9 * values.var()  # but for rounding; a sample of equal values alone has no shares
     shares = (counts @ added.T / len(values))[varied] / variation[varied, np.newaxis]
     lower, upper = np.quantile(shares, [0.025, 0.975], axis=0)
     return lower, upper

@@ -141,6 +141,8 @@ class Evidence:
     bounded: Sequence[str] = ()
     has_failures: bool = False
     """Runs failed, of whichever set."""
+    is_random: bool = False
+    """Other seeds give other values."""
     has_unknown_noise: bool = False
     """The search has ended, its simulator is random, and too few sets ran under several seeds."""
 
@@ -195,10 +197,10 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _chosen(campaign, chosen, search)
         yield from _course(campaign, search)
     elif front is not None:
-        yield from (*_constraints(campaign, known.bounded, " by the first objective"), *_front(campaign, front))
+        yield from (*_constraints(campaign, known, " by the first objective"), *_front(campaign, front))
         yield from _seen(campaign, search)
     else:
-        yield from _constraints(campaign, known.bounded)
+        yield from _constraints(campaign, known)
         yield from (*_confirmation(campaign), *_baseline(campaign, known), *_course(campaign, search))
         if campaign.best is not None:
             yield from _at_ends("the best set", campaign.best.parameters, search)
@@ -284,17 +286,19 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["neutral"], Light]:
-    """Returns the lights of constraints that are kept and broken: a mean over seeds is not known exactly, and only rates count that in."""
-    exact = ("rate", "changes", "distance")
-    is_mean = not all(any(map(each.get, exact)) for each in campaign.spec.get("constraints") or ())
-    return ("neutral", "amber") if is_random and is_mean else ("green", "red")
+    """Returns the lights of constraints that are kept and broken: means of a random simulator are not known exactly, unlike rates."""
+    constraints = campaign.spec.get("constraints") or ()
+    is_mean = is_random and any(not (each.get("rate") or each.get("changes") or each.get("distance")) for each in constraints)
+    return "neutral" if is_mean else "green", "amber" if is_mean and not any(
+        each.get("rate") for each in constraints
+    ) else "red"
 
 
-def _constraints(campaign: Campaign, bounded: Sequence[str], best_by: str = "") -> Iterator[ResultVerdict]:
-    """Yields whether the best set keeps its constraints, and its failed runs. `bounded`: as of `Evidence`."""
+def _constraints(campaign: Campaign, known: Evidence, best_by: str = "") -> Iterator[ResultVerdict]:
+    """Yields whether the best set keeps its constraints, and its failed runs."""
     if campaign.best is None:
         return
-    kept, broken = _lights(campaign, is_random=campaign.best.replicates > 1)
+    bounded, (kept, broken) = list(known.bounded), _lights(campaign, is_random=known.is_random)
     if campaign.best.undecided:
         yield verdict("constraints_undecided", "amber", subject="the best set", bounded=bounded)
     elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them

@@ -26,6 +26,8 @@ from drivecal.domain.errors import (
 
 PROXY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT}
 """Answers of a proxy whose server is away."""
+NOTHING = "there is nothing at "
+"""Begin of what a server says of an address that it does not know."""
 GATEWAY = PROXY | {HTTPStatus.TOO_MANY_REQUESTS}
 
 
@@ -77,7 +79,7 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
         return
     document = _document(response)
     detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
-    if response.status_code == HTTPStatus.NOT_FOUND and kind and not detail.startswith("there is nothing at"):
+    if response.status_code == HTTPStatus.NOT_FOUND and kind and ("/" in identifier or not detail.startswith(NOTHING)):
         missing = f"{NotFoundError(kind, identifier)}; "
         raise NotFoundError(kind, identifier, detail.removeprefix(missing) if detail.startswith(missing) else "")
     if response.status_code == HTTPStatus.CONFLICT:
@@ -265,7 +267,7 @@ class Transport:
                 if attempt == ATTEMPTS_TO_CONNECT or not isinstance(error, httpx.ConnectError):
                     raise unreachable(self.url, error) from error
             except ValueError as error:
-                raise InvalidInputError(Problem("", str(error), "give finite numbers")) from error
+                raise InvalidInputError(Problem("", str(error), "give finite numbers, and valid Unicode text")) from error
             time.sleep(SECONDS_TO_CONNECT * (attempt - 1))
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:

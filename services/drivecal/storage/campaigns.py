@@ -166,15 +166,19 @@ def insert(
     name: str,
     spec: Mapping[str, Any],
     kind: Kind = "calibration",
+    influence_map_id: str | None = None,
+    rerun_of: str | None = None,
     tags: Sequence[str] = (),
     idempotency_key: str | None = None,
     body_digest: str | None = None,
+    likeness: str | None = None,
+    priority: int = 0,
+    owner: str | None = None,
     notes: Sequence[str] = (),
-    **columns: Any,
 ) -> StoredCampaign:
     """Queues a campaign, or returns the campaign that an earlier request with the same `idempotency_key` queued.
 
-    `body_digest` identifies the request by all that tells requests apart, the path included; `columns`: further ones of the table.
+    `body_digest` identifies the request by all that tells requests apart, the path included; `likeness` campaigns that search the same.
 
     Raises ConflictError if the earlier request was another one.
     """
@@ -183,19 +187,23 @@ def insert(
         "kind": kind,
         "name": name,
         "state": CampaignState.QUEUED,
+        "priority": priority,
+        "owner": owner,
         "spec": dict(spec),
+        "rerun_of": rerun_of,
         "tags": tuple(tags),
         "watermark": 0 if (spec.get("reduction") or {}).get("isolated") else None,
+        "influence_map_id": influence_map_id,
         **{f"{stage}_of": (spec.get(stage) or {}).get("of") for stage in ("robustness", "validation")},
         "idempotency_key": idempotency_key,
         "body_digest": body_digest,
+        "likeness": likeness,
         "notes": tuple(notes),
         "progress": Progress(),
         "error_rate": {},
         "released": {},
         "simulating_seconds": 0.0,
         "created_at": now(),
-        **columns,
     }
     statement = insert_into(connection, campaigns).on_conflict_do_nothing(index_elements=["idempotency_key"])
     inserted = connection.scalar(statement.values(row).returning(campaigns.c.sequence))

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal, ParamSpec, TypeVar
 
 LONGEST_DETAIL = 500
 """Largest length of an error's description in characters."""
@@ -158,9 +158,10 @@ def describe(error: BaseException) -> str:
 
 
 T = TypeVar("T")
+Given = ParamSpec("Given")
 
 
-def attempted(make: Callable[..., T], *given: Any, **named: Any) -> T | InvalidInputError:
+def attempted(make: Callable[Given, T], *given: Given.args, **named: Given.kwargs) -> T | InvalidInputError:
     """Returns what a call returns, or the error that it raises for faulty input."""
     try:
         return make(*given, **named)

@@ -236,7 +236,7 @@ def test_numbers_that_json_does_not_have_are_refused(number: float) -> None:
 
 
 def test_an_id_cannot_leave_its_path() -> None:
-    with server(problem(404)) as (client, script), pytest.raises(NotFoundError):
+    with server(problem(404, "there is nothing at /x; see /docs")) as (client, script), pytest.raises(NotFoundError):
         client.campaign("../workers?x=1")
     assert script.requests[0][1] == "/api/v1/campaigns/..%2Fworkers%3Fx%3D1"
 

@@ -148,8 +148,8 @@ def _trust(
     campaign = stored.campaign
     with stored.database.read() as connection:
         search = _search(connection, stored)
-        is_random = campaign.state.ended and evaluations.are_seeded(connection, campaign.sequence)
-    noise = stored.sets.by_objective()[1] if is_random else []
+        is_random = evaluations.are_seeded(connection, campaign.sequence)
+    noise = stored.sets.by_objective()[1] if is_random and campaign.state.ended else []
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
         known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)
         search = replace(search, regions=len(set(known_best.regions.tolist())))
@@ -157,10 +157,10 @@ def _trust(
     goals = stored.resolved.goals if amounts else None
     seeds = 1 if campaign.best is None else campaign.best.replicates
     bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names), seeds)
-    unknown = is_random and not (noise and all(each.is_known for each in noise))
+    unknown = is_random and campaign.state.ended and not (noise and all(each.is_known for each in noise))
     compromises = _compromises(stored, front)
     has_failures = any(cause.kind == "failed" for cause in causes)
-    known = Evidence(made, search, compromises, chosen, bounded, has_failures, unknown)
+    known = Evidence(made, search, compromises, chosen, bounded, has_failures, is_random, unknown)
     return trust(campaign_answer(campaign, now(), silent=None), known)
 
 

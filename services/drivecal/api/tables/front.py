@@ -131,7 +131,7 @@ def bound_text(bound: Bound) -> str:
 
 def bounded_texts(goals: Goals, amounts: Iterable[float], seeds: int) -> list[str]:
     """Returns each constraint in words with a set's amount, of a rate with the bounds of the share; `amounts`: as `Judged.bounded`."""
-    mean = " in the mean of its seeds (`drivecal check` says how sure)" if seeds > 1 else ""
+    mean = " in the mean of its seeds" if seeds > 1 else ""
     given, texts = iter(amounts), []
     for bound in goals.bounds:
         amount = f"{next(given):.8g}"

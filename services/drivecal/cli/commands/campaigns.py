@@ -210,19 +210,18 @@ def submitted(client: Client, campaign: Campaign, wait: bool, timeout: float | N
         say(f"campaign {campaign.id} is queued")
         campaign = follow(client, campaign.id, timeout)
         return *_whole(client, campaign), code_of_state(campaign.state)
-    return _whole(client, campaign, f"queued; follow it with `drivecal watch {campaign.id}`")
+    say(f"queued; follow it with `drivecal watch {campaign.id}`")
+    return _whole(client, campaign)
 
 
-def _whole(client: Client, campaign: Campaign, said: str = "") -> tuple[object, Show]:
-    """Returns a campaign with its results; a single evaluation as `evaluate` does. `said`: stands before it, without --json."""
+def _whole(client: Client, campaign: Campaign) -> tuple[object, Show]:
+    """Returns a campaign with its results; a single evaluation as `evaluate` does."""
     if campaign.kind == "evaluation":
         evaluation = client.evaluation(campaign.id)
         return evaluation, lambda: print_evaluation(evaluation, client.problem(campaign.spec["problem"]).shapes)
     results = client.results(campaign.id)
 
     def show() -> None:
-        if said:
-            say(said)
         print_campaign(campaign)
         print_results(results)
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import typer
 
@@ -56,7 +57,7 @@ def fresh_folder(folder: Path) -> Iterator[None]:
 
 
 def _database_url(folder: Path) -> str:
-    return f"sqlite:///{folder / 'drivecal.db'}"
+    return f"sqlite:///{quote(str(folder / 'drivecal.db'))}"
 
 
 @contextmanager

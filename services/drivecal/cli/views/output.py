@@ -6,7 +6,7 @@ from datetime import datetime
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, TypeVar
 
 import typer
 from pydantic import BaseModel
@@ -39,14 +39,17 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import ASKED
 from drivecal.domain.scales import objective_text, score_text
 
+if TYPE_CHECKING:
+    from drivecal.client.client import Client
+
 Shapes = Mapping[str, ShapeAnswer]
 Shown = TypeVar("Shown")
 Show = Callable[[], None]
 Asked = tuple[object, Show] | tuple[object, Show, int]
-"""An answer, what prints it, and the exit status of its command if that is not 0."""
+"""An answer, what prints it, and perhaps the exit status of its command."""
 
 
-def asking(command: Callable[..., Asked]) -> Callable[..., None]:
+def asking(command: "Callable[Concatenate[Client, ...], Asked]") -> Callable[..., None]:
     """Returns a command with the options --url and --json: `command` gets a client of the server first, and returns what is shown."""
 
     @wraps(command)

@@ -27,7 +27,7 @@ class SingleTrackModel:
 
     @property
     def pose(self) -> Floats:
-        """(x, y, heading, speed, side slip angle, yaw rate, longitudinal acceleration, lateral acceleration), shape (8,), SI.
+        """(x, y, heading, speed, side slip angle, yaw rate, accelerations along and across the course), shape (8,), SI.
 
         A live view that changes with the vehicle; copy it to keep it. The course over ground is heading plus side-slip angle.
         """
