@@ -288,10 +288,9 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["neutral"], Light]:
     """Returns the lights of constraints that are kept and broken: means of a random simulator are not known exactly, unlike rates."""
     constraints = campaign.spec.get("constraints") or ()
+    has_rates = any(each.get("rate") for each in constraints)
     is_mean = is_random and any(not (each.get("rate") or each.get("changes") or each.get("distance")) for each in constraints)
-    return "neutral" if is_mean else "green", "amber" if is_mean and not any(
-        each.get("rate") for each in constraints
-    ) else "red"
+    return "neutral" if is_mean else "green", "amber" if is_mean and not has_rates else "red"
 
 
 def _constraints(campaign: Campaign, known: Evidence, best_by: str = "") -> Iterator[ResultVerdict]:
