@@ -221,7 +221,6 @@ def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checkin
     costs = [10 * (1 + 0.2 * (seed * 7 % 11)) + 5 * (discomfort + 0.1 * (seed % 2)) for seed in range(first, first + 8)]
     within = stats.t.interval(0.95, 7, np.mean(costs), stats.sem(costs))
     assert [checked["scenarios"][0][end] for end in ("lower", "upper")] == pytest.approx(within)
-    assert "(unsure)" in checked["scenarios"][0]["broken"]
     verdicts = {each["limit"]: (each["broken"] is not None, each["unsure"]) for each in checked["findings"]}
     kept, unsure = (False, False), (True, True)
     assert list(verdicts.values()) == [kept, kept, unsure, (True, False), kept, kept, unsure]

@@ -90,7 +90,7 @@ def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> 
     counts = generator.multinomial(len(values), np.full(len(values), 1 / len(values)), size=RESAMPLED).astype(np.float64)
     means = counts @ values / len(values)
     variation = counts @ values**2 / len(values) - means**2
-    varied = variation > 1e-9 * values.var()  # but for rounding; a sample of equal values alone has no shares
+    varied = variation > 1e-9 * values.var()  # a sample of equal values has no shares; 1e-9: rounding
     shares = (counts @ added.T / len(values))[varied] / variation[varied, np.newaxis]
     lower, upper = np.quantile(shares, [0.025, 0.975], axis=0)
     return lower, upper

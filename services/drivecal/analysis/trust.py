@@ -142,7 +142,7 @@ class Evidence:
     has_failures: bool = False
     """Runs failed, of whichever set."""
     is_random: bool = False
-    """Other seeds give other values."""
+    """The simulator is random."""
     has_unknown_noise: bool = False
     """The search has ended, its simulator is random, and too few sets ran under several seeds."""
 
@@ -286,11 +286,12 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["neutral"], Light]:
-    """Returns the lights of constraints that are kept and broken: means of a random simulator are not known exactly, unlike rates."""
+    """Returns the lights of constraints that are kept and broken. A mean over seeds is uncertain, which only rates count in."""
     constraints = campaign.spec.get("constraints") or ()
-    has_rates = any(each.get("rate") for each in constraints)
-    is_mean = is_random and any(not (each.get("rate") or each.get("changes") or each.get("distance")) for each in constraints)
-    return "neutral" if is_mean else "green", "amber" if is_mean and not has_rates else "red"
+    exact = sum(any(map(each.get, ("rate", "changes", "distance"))) for each in constraints)
+    if not is_random or exact == len(constraints):
+        return "green", "red"
+    return "neutral", "red" if exact else "amber"  # an exact one may be broken
 
 
 def _constraints(campaign: Campaign, known: Evidence, best_by: str = "") -> Iterator[ResultVerdict]:
@@ -304,7 +305,7 @@ def _constraints(campaign: Campaign, known: Evidence, best_by: str = "") -> Iter
         subject = "By its runs, the best set"
         yield verdict("constraints_broken", broken, subject=subject, share=campaign.best.violation, bounded=bounded)
     elif campaign.best.violation > 0:
-        yield verdict("no_set_keeps_constraints", "red", share=campaign.best.violation, bounded=bounded)
+        yield verdict("no_set_keeps_constraints", broken, share=campaign.best.violation, bounded=bounded)
     elif bounded:
         yield verdict("constraints_kept", kept, subject=f"The best set{best_by}", bounded=bounded)
     yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))

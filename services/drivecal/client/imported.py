@@ -59,7 +59,7 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:
-    with file_faults(path, "read", "save it as valid CSV, JSON or Parquet, texts in UTF-8"):
+    with file_faults(path, "read", "give a CSV, JSON or Parquet file, texts in UTF-8"):
         if path.suffix.lower() == ".parquet":
             from pyarrow import parquet
 
@@ -70,7 +70,7 @@ def _lines(path: Path) -> list[dict[str, Any]]:
             head = text.partition("\n")[0]
             reader = csv.DictReader(io.StringIO(text), delimiter=max(",;\t", key=head.count), restkey="", restval="")
             if twice := [name for name, columns in Counter(reader.fieldnames).items() if columns > 1]:
-                raise InvalidInputError(Problem(str(path), f"two columns are {twice[0]!r}", "leave one of them out"))
+                raise InvalidInputError(Problem(str(path), f"two columns have the name {twice[0]!r}", "leave one of them out"))
             return list(reader)
         document = json.loads(text)
     if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):

@@ -27,7 +27,7 @@ from drivecal.domain.errors import (
 PROXY = {HTTPStatus.BAD_GATEWAY, HTTPStatus.SERVICE_UNAVAILABLE, HTTPStatus.GATEWAY_TIMEOUT}
 """Answers of a proxy whose server is away."""
 NOTHING = "there is nothing at "
-"""Begin of what a server says of an address that it does not know."""
+"""Beginning of the server's answer to an unknown address."""
 GATEWAY = PROXY | {HTTPStatus.TOO_MANY_REQUESTS}
 
 

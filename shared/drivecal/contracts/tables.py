@@ -319,7 +319,7 @@ class FrontRow(Answer):
     replicates: int = 1
     """Number of its seeds."""
     failures: int = 0
-    """Failed runs under all seeds, which also the report may have shown."""
+    """Failed runs under all seeds of the set; the report's count as well."""
     seeds: list[int] = Field(default_factory=list)
     """Seeds whose runs make its values, if it ran under several: of the first ones, which choose, even if further ones report it."""
     degree: int | None

@@ -216,8 +216,10 @@ def test_constraints_come_first() -> None:
     assert (judged.light("scores"), judged.verdicts[0].code) == ("red", "no_set_keeps_constraints")
     assert "constraints_kept" not in lights(campaign(best=broken), bounded=["max of y <= 2: 1"])
     assert lights(campaign(), bounded=["max of y <= 2: 1"])["constraints_kept"] == "green"
-    kinds = [["rate"], ["at_most"], ["rate", "at_most"]]
-    for wanted, kept, broke in zip(kinds, ("green", "neutral", "neutral"), ("red", "amber", "red"), strict=True):
+    kinds = [["rate"], ["at_most"], ["rate", "at_most"], ["changes"]]
+    for wanted, kept, broke in zip(
+        kinds, ("green", "neutral", "neutral", "green"), ("red", "amber", "red", "red"), strict=True
+    ):
         spec, means = {"constraints": [{kind: 0.1} for kind in wanted]}, {"replicates": 8}
         known = [campaign(spec=spec, best=best.model_copy(update=means)) for best in (BEST, broken)]
         assert lights(known[0], bounded=["max of y <= 2: 1"], is_random=True)["constraints_kept"] == kept

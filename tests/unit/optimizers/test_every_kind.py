@@ -124,6 +124,13 @@ def test_it_starts_with_given_sets_stays_in_the_space_and_resumes_exactly(plugin
     assert [population.tolist() for population in rest] == [population.tolist() for population in whole[3:]]
 
 
+@every
+def test_it_gets_closer_than_its_start(plugin: OptimizerPlugin) -> None:
+    settings = plugin.settings.model_validate({"kind": plugin.name, "population": 20, "seed": 1})
+    told = drive(plugin.create(settings, N_VALUES, None, KINDS), 40)
+    assert max(closeness(population).max() for population in told[1:]) > closeness(told[0]).max()
+
+
 @given(st.integers(2, 2 * 10**15 + 1), st.data())
 def test_every_index_of_a_huge_grid_has_a_pattern_and_survives_it(n_values: int, data: st.DataObject) -> None:
     encoding = BitEncoding(np.array([n_values, 101]))

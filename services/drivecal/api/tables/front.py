@@ -135,7 +135,10 @@ def bounded_texts(goals: Goals, amounts: Iterable[float], seeds: int) -> list[st
     given, texts = iter(amounts), []
     for bound in goals.bounds:
         amount = f"{next(given):.8g}"
-        amount += unit_text(bound.unit) + mean if bound.rate is None else f" ({next(given):.3g} to {next(given):.3g})"
+        if bound.rate is not None:
+            amount += f" ({next(given):.3g} to {next(given):.3g})"
+        else:
+            amount += unit_text(bound.unit) + (mean if bound.value.change is None else "")
         texts.append(f"{bound_text(bound)}: {amount}")
     return texts
 

@@ -455,12 +455,12 @@ def _evaluated(
     return evaluations
 
 
-def _rows(checked: CheckedSet, findings: Sequence[Finding]) -> Iterator[dict[str, Any]]:
+def _rows(checked: CheckedSet, findings: Sequence[Finding], unsure: str = " (unsure)") -> Iterator[dict[str, Any]]:
     before = {cell.scenario: cell.score for each in list(checked.baseline.values())[:1] for cell in each.items}
     for cell in checked.first.items:
         name, own = cell.scenario, {each: getattr(cell, each) for each in ("score", *INTERVAL)}
         failed = [finding for finding in findings if finding.scenario == name and finding.broken is not None]
-        broken = "; ".join(finding.limit + (" (unsure)" if finding.unsure else "") for finding in failed)
+        broken = "; ".join(finding.limit + (unsure if finding.unsure else "") for finding in failed)
         yield {"scenario": name, **own, "baseline": before.get(name), "obtained": cell.outcome, "broken": broken}
 
 
@@ -469,7 +469,7 @@ def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any
         "passed": all(finding.broken is None for finding in findings),
         "notes": checked.notes,
         **{name: getattr(checked.first, name) for name in ("objective", *INTERVAL)},
-        "scenarios": list(_rows(checked, findings)),
+        "scenarios": list(_rows(checked, findings, "")),
         "findings": [asdict(finding) for finding in findings],
     }
 

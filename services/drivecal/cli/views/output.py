@@ -46,7 +46,7 @@ Shapes = Mapping[str, ShapeAnswer]
 Shown = TypeVar("Shown")
 Show = Callable[[], None]
 Asked = tuple[object, Show] | tuple[object, Show, int]
-"""An answer, what prints it, and perhaps the exit status of its command."""
+"""An answer, what prints it, and the exit status of its command if it may differ from 0."""
 
 
 def asking(command: "Callable[Concatenate[Client, ...], Asked]") -> Callable[..., None]:
