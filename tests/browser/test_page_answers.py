@@ -26,7 +26,7 @@ MODES = ("-soft", "=1+1", "a,b", "50 %")
 GEARS = ("1", "2.0", "05")
 CART: dict[str, Any] = {
     "problem": "cart",
-    "parameters": {"gain": {"lower": 0, "upper": 1}, "mode": {"choices": list(MODES)}, "gear": {"choices": list(GEARS)}},
+    "parameters": {"gain": {"lower": 0, "upper": 1}, "sort": {"choices": list(MODES)}, "gear": {"choices": list(GEARS)}},
     "simulator": {"kind": "python", "file": "model.py", "function": "evaluate"},
     "scenarios": {"flat": {}, "hill": {}},
     "measures": {"error": "m", "energy": "J"},
@@ -45,7 +45,7 @@ FRUGAL: dict[str, Any] = {
 
 
 def carted(scenario: str, cell: Cell) -> CellResult:
-    gain = cell.parameters["gain"] + MODES.index(cell.parameters["mode"]) + GEARS.index(cell.parameters["gear"])
+    gain = cell.parameters["gain"] + MODES.index(cell.parameters["sort"]) + GEARS.index(cell.parameters["gear"])
     return CellResult(cell.id, None, None, {"error": abs(2 - gain), "energy": gain + len(scenario)}, None, 7.0)
 
 
@@ -83,15 +83,17 @@ def changed(page: Page, address: str, change: Callable[[Any], Any]) -> None:
     page.route(re.compile(address), answer)
 
 
-@pytest.mark.parametrize(("column", "words"), [("mode", MODES), ("gear", GEARS)])
-def test_choices_of_every_spelling_are_exported(shown: Shown, opening: Opening, column: str, words: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(("column", "words"), [("sort", MODES), ("gear", GEARS)])
+def test_choices_of_every_spelling_are_exported_also_of_a_parameter_named_as_a_part_of_the_address(
+    shown: Shown, opening: Opening, column: str, words: tuple[str, ...]
+) -> None:
     page = opening(shown.at(shown.first, "evaluations"))
     group = page.get_by_role("group", name=f"Only of {column}")
     for word in words:
         group.get_by_role("button", name=re.compile(rf"^{re.escape(word)}\s+\d+$")).click()
         if word != words[-1]:
             group.get_by_role("button", name=re.compile(rf"^{re.escape(word)}\s+\d+$")).click()
-    last = f"{column}={words[-1].replace('%', '%25').replace(',', '%2C')}"
+    last = f"w.{column}={words[-1].replace('%', '%25').replace(',', '%2C')}"
     page.wait_for_function(
         "last => new URLSearchParams(location.hash.split('?')[1]).get(last.split('=')[0]) === last.split('=')[1]", arg=last
     )
@@ -253,7 +255,7 @@ def test_a_review_says_what_the_runs_of_a_random_simulator_tell(shown: Shown, op
     store(
         shown.api.database, CART | {"problem": "noisy", "simulator": CART["simulator"] | {"random": True}}, {"model.py": MODEL}
     )
-    start = {"gain": 0.5, "mode": MODES[0], "gear": GEARS[0]}
+    start = {"gain": 0.5, "sort": MODES[0], "gear": GEARS[0]}
     spec = {"problem": "noisy", "budget": {"simulations": 80}, "baseline": start}
 
     def driven(setup: SetupRequest, cell: Cell) -> CellResult:

@@ -1,4 +1,4 @@
-/** Addresses as `#/campaigns/ID/evaluations?outcome=reused&b.P1=0:2.5`. */
+/** Addresses as `#/campaigns/ID/evaluations?w.outcome=reused&b.P1=0:2.5`. Names of columns stand behind a mark: a parameter may be called `sort`. */
 
 export interface Place {
   path: readonly string[];
@@ -26,7 +26,7 @@ function decoded(part: string): string {
   }
 }
 
-/** The words of a filter in a query: `scenario=S1,S2`. Commas within a word are encoded. */
+/** The words of a filter in a query: `w.scenario=S1,S2`. Commas within a word are encoded. */
 export function wordsOf(text: string | undefined): string[] {
   return (text ?? "").split(",").filter(Boolean).map(decoded);
 }
@@ -50,9 +50,9 @@ export function brushes(query: Readonly<Record<string, string>>): Record<string,
   return ranges;
 }
 
-/** The part of a query that selects rows by these columns or by ranges; equal parts are equal texts. */
-export function selecting(query: Readonly<Record<string, string>>, columns: readonly string[]): string {
-  return new URLSearchParams(Object.entries(query).filter(([name]) => name.startsWith("b.") || columns.includes(name))).toString();
+/** The part of a query that selects rows by words or ranges; equal parts are equal texts. */
+export function selecting(query: Readonly<Record<string, string>>): string {
+  return new URLSearchParams(Object.entries(query).filter(([name]) => /^[bw]\./.test(name))).toString();
 }
 
 /** Ends are rounded only outwards: a row at an end stays in its range. */

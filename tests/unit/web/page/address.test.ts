@@ -21,12 +21,12 @@ describe("an address", () => {
     expect(brushText([123457.32, 123457.326])).toBe("123457.32:123457.326");
   });
 
-  test("tells a selection from all else: a chosen row and a chart select nothing anew", () => {
-    const query = { "b.P 1": "0:2.5", outcome: "reused,a%2Cb", row: "7", chart: "scatter", sort: "-score" };
-    const part = selecting(query, ["outcome", "stage"]);
-    expect(selecting({ ...query, row: "8", sort: "score", lines: "1" }, ["outcome", "stage"])).toBe(part);
-    expect(Object.fromEntries(new URLSearchParams(part))).toEqual({ "b.P 1": "0:2.5", outcome: "reused,a%2Cb" });
-    expect(selecting({ ...query, stage: "baseline" }, ["outcome", "stage"])).not.toBe(part);
+  test("tells a selection from all else: a chosen row, a chart and a parameter of their names select nothing anew", () => {
+    const query = { "b.P 1": "0:2.5", "w.sort": "reused,a%2Cb", row: "7", chart: "scatter", sort: "-score" };
+    const part = selecting(query);
+    expect(selecting({ ...query, row: "8", sort: "score", lines: "1" })).toBe(part);
+    expect(Object.fromEntries(new URLSearchParams(part))).toEqual({ "b.P 1": "0:2.5", "w.sort": "reused,a%2Cb" });
+    expect(selecting({ ...query, "w.stage": "baseline" })).not.toBe(part);
   });
 
   test("holds every row at an end of a range: ends are rounded only outwards", () => {
