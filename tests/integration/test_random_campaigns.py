@@ -140,6 +140,23 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
     assert present(ended.search).ended_by == "budget"
 
 
+def test_equal_seeds_give_equal_campaigns_whatever_ran_before(database: Database, tmp_path: Path) -> None:
+    asked: list[tuple[str, int, float, bool]] = []
+
+    def noted(setup: SetupRequest, cell: Cell) -> CellResult:
+        asked.append((setup.scenario, setup.seed, float(cell.parameters["x"]), cell.check))
+        return noisy(setup, cell)
+
+    carried_out(database, driven=noted, optimizer=POPULATIONS, **SEVERAL_ROUNDS)
+    first, other = list(asked), opened(tmp_path / "other.db")
+    store(other, scored("before", {"x": {"lower": 2, "upper": 3}}, simulator=SIMULATOR))
+    carried_out(other, problem="before", optimizer=POPULATIONS)
+    asked.clear()
+    carried_out(other, driven=noted, optimizer=POPULATIONS, **SEVERAL_ROUNDS)
+    assert any(twice for *_, twice in first)
+    assert sorted(asked) == sorted(first)
+
+
 @pytest.mark.slow
 def test_all_sets_meet_the_same_seeds_and_good_ones_more_of_them(database: Database) -> None:
     ended = carried_out(database, budget={"simulations": 120})

@@ -22,9 +22,9 @@ def is_audited(scenario: str, parameters: ParameterSet, share: float, seed: int)
     return _drawn(f"{seed}:{scenario}:".encode() + parameters.key, share)
 
 
-def is_checked(scenario: str, seed: int, parameters: ParameterSet, share: float, campaign: int) -> bool:
-    """Returns whether a cell runs twice, as a test that it repeats: a hash of campaign, scenario, seed and set decides."""
-    return _drawn(f"twice:{campaign}:{scenario}:{seed}:".encode() + parameters.key, share)
+def is_checked(scenario: str, seed: int, parameters: ParameterSet, share: float, search_seed: int) -> bool:
+    """Returns whether a cell runs twice, as a test that it repeats: a hash of the search's seed, scenario, seed and set decides."""
+    return _drawn(f"twice:{search_seed}:{scenario}:{seed}:".encode() + parameters.key, share)
 
 
 def _drawn(content: bytes, share: float) -> bool:

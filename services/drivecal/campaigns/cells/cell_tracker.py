@@ -255,7 +255,7 @@ class CellTracker:
 
     def _cell(self, pending: StoredEvaluation) -> Cell:
         share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
-        twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.campaign)
+        twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.seed)
         twice = twice and self.budget.take(beyond=self.budget.kept)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 

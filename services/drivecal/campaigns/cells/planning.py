@@ -55,7 +55,7 @@ class View:
     workers: int = 1
     """Workers at the beginning."""
     seed: int = 0
-    """Seed of the search, which decides which reused cells are audits."""
+    """Seed of the search, which decides which reused cells are audits, and which cells run twice."""
     earlier: tuple[EarlierVersion, ...] = ()
     """Earlier versions of the problem whose runs answer cells: claims about them are checked."""
     reuse_time: ReuseTime = field(default_factory=ReuseTime)
