@@ -115,7 +115,7 @@ def test_a_validation_of_its_map_by_another_campaign_changes_the_light_of_a_camp
     spec = WITH_ANALYSIS | {"sensitivity": {"map": map_id}, "optimizer": None, "validation": wanted}
     study = _carry_out(ended.api, ended.api.http.post("/api/v1/campaigns", json=spec).json())
     assert study["state"] == "succeeded"
-    assert light() == {"map_validated": "green"}
+    assert light() == {"map_validated": "amber"}, "20 bases do not show that at most 2 % are wrong"
     assert results_of(ended, study).trust == ResultTrust(answers=[], verdicts=[])
 
 

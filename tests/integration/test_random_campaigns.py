@@ -147,12 +147,12 @@ def test_equal_seeds_give_equal_campaigns_whatever_ran_before(database: Database
         asked.append((setup.scenario, setup.seed, float(cell.parameters["x"]), cell.check))
         return noisy(setup, cell)
 
-    carried_out(database, driven=noted, optimizer=POPULATIONS, **SEVERAL_ROUNDS)
+    carried_out(database, driven=noted, optimizer=POPULATIONS, budget={"simulations": 240})
     first, other = list(asked), opened(tmp_path / "other.db")
     store(other, scored("before", {"x": {"lower": 2, "upper": 3}}, simulator=SIMULATOR))
     carried_out(other, problem="before", optimizer=POPULATIONS)
     asked.clear()
-    carried_out(other, driven=noted, optimizer=POPULATIONS, **SEVERAL_ROUNDS)
+    carried_out(other, driven=noted, optimizer=POPULATIONS, budget={"simulations": 240})
     assert any(twice for *_, twice in first)
     assert sorted(asked) == sorted(first)
 

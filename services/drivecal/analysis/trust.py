@@ -197,13 +197,16 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _chosen(campaign, chosen, search)
         yield from _course(campaign, search)
     elif front is not None:
-        yield from (*_constraints(campaign, known, " by the first objective"), *_front(campaign, front))
-        yield from _seen(campaign, search)
+        yield from (
+            *_constraints(campaign, known, " by the first objective"),
+            *_front(campaign, front),
+            *_seen(campaign, search),
+        )
     else:
         yield from _constraints(campaign, known)
         yield from (*_confirmation(campaign), *_baseline(campaign, known), *_course(campaign, search))
-        if campaign.best is not None:
-            yield from _at_ends("the best set", campaign.best.parameters, search)
+    if chosen is None and campaign.best is not None:
+        yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best.parameters, search)
 
 
 def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
@@ -490,9 +493,10 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
     if compared and not wrong_in:
         wrong, variants = (sum(getattr(row, name) for _, row in compared) for name in ("wrong", "compared"))
-        worst, uppers = max(row.error_rate or 0.0 for _, row in compared), [row.upper_95 for _, row in compared]
-        upper = max(1.0 if each is None else each for each in uppers)
-        yield verdict("map_validated", "green", wrong=wrong, variants=variants, worst=worst, upper=upper)
+        worst = max(row.error_rate or 0.0 for _, row in compared)
+        upper = max(1.0 if row.upper_95 is None else row.upper_95 for _, row in rows if row.reducible)
+        found: Light | Literal["neutral"] = "green" if upper <= limit else "neutral" if inspected else "amber"
+        yield verdict("map_validated", found, wrong=wrong, variants=variants, worst=worst, upper=upper)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         yield verdict("map_unchecked", "amber")
 

@@ -4,7 +4,7 @@ Sets are drawn over the whole space until the sets in non-influential regions co
 parameters. Each of these sets is compared with variants that differ from it only inside its regions.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.contracts.campaign import ErrorRate
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.evaluations import AuditCount
 from drivecal.domain.parameters import Indices
 from drivecal.domain.scales import Scale
@@ -22,6 +23,8 @@ ROWS = 1_000
 """Rows of the table of all pairs of combinations that are in memory at a time."""
 MOST_EXACT = 16
 """Largest number of reducible parameters whose 2^n - 1 effects are all examined; for more, effects of up to three parameters are."""
+REDRAWN = 10
+"""How often the changes of a variant are drawn again, if each of them breaks constraints."""
 HYPERCUBE, VARIANTS = 0, 1
 """Purposes of the stream."""
 
@@ -120,28 +123,23 @@ class ValidationDesign:
 
 
 def design(
-    space: ReducibleSpace,
-    samples: int,
-    references: int,
-    seed: int,
-    largest: int,
-    feasible: Callable[[Indices], npt.NDArray[np.bool_]] | None = None,
+    space: ReducibleSpace, samples: int, references: int, seed: int, largest: int, constraints: Constraints | None = None
 ) -> ValidationDesign | None:
     """Returns the validation design of a scenario; None if no parameter can be reduced.
 
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
     `largest` points. If some effects stay uncovered, the coverage reports them. A large hypercube finds the few sets with several small
     regions among many others. So only the sets that the coverage needs are kept, and the first others up to `samples` in total. Each
-    variant changes a random non-empty subset of the values that can vary. Bases that are not `feasible` are left out. Variants may break
-    constraints; the caller must not run these.
+    variant changes a random non-empty subset of the values that can vary. With `constraints` the points are repaired, and variants change
+    as much as keeps them. A base without a feasible neighbour may have variants that break constraints; the caller must not run these.
     """
     reducible = space.reducible
     if not reducible.size:
         return None
     for size in _sizes(samples, largest):
         points = _latin_hypercube(space.n_values, size, generator("validation", seed, HYPERCUBE))
-        if feasible is not None:
-            points = points[feasible(points)]
+        if constraints:
+            points = constraints.whole_region.repair(points)
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
         covered = coverage(masks)
@@ -150,10 +148,8 @@ def design(
     if not len(qualified):
         return None
     qualified = qualified[_kept(masks, samples)]
-    drawing = generator("validation", seed, VARIANTS)
-    variants = np.array(
-        [[_variant(space, base, drawing) for _ in range(references)] for base in qualified], dtype=np.int64
-    ).reshape(len(qualified), references, len(space.n_values))
+    variants = _variants(space, np.repeat(qualified, references, axis=0), constraints, generator("validation", seed, VARIANTS))
+    variants = variants.reshape(len(qualified), references, len(space.n_values))
     return ValidationDesign(qualified, variants, size, covered)
 
 
@@ -205,6 +201,26 @@ def _latin_hypercube(n_values: Indices, size: int, drawing: np.random.Generator)
     points = qmc.LatinHypercube(len(n_values), rng=drawing).random(size)
     indices: Indices = np.floor(points * n_values).astype(np.int64)
     return indices
+
+
+def _variants(space: ReducibleSpace, bases: Indices, constraints: Constraints | None, drawing: np.random.Generator) -> Indices:
+    """Returns a variant of each base, shape (n, n_searched). Of changes that together break constraints it has those that, one after the
+    other, keep them; if none does, others are drawn."""
+    rows = np.array([_variant(space, base, drawing) for base in bases], dtype=np.int64)
+    if not constraints:
+        return rows
+    for _ in range(REDRAWN):
+        broken = np.flatnonzero(~constraints.feasible(rows))
+        kept = bases[broken]
+        for column in drawing.permutation(bases.shape[1]).tolist():
+            tried = kept.copy()
+            tried[:, column] = rows[broken, column]
+            kept = np.where(constraints.feasible(tried)[:, None], tried, kept)
+        changed = (kept != bases[broken]).any(axis=1)
+        rows[broken[changed]] = kept[changed]
+        for place in broken[~changed].tolist():
+            rows[place] = _variant(space, bases[place], drawing)
+    return rows
 
 
 def _variant(space: ReducibleSpace, base: Indices, generator: np.random.Generator) -> Indices:

@@ -46,7 +46,7 @@ def before(objective: float, **given: Any) -> Baseline:
 
 def validation(error_rate: float, lower: float, scenario: str = "S1", **given: Any) -> ValidationRow:
     counts = dict.fromkeys(("reducible", "effects", "covered", "drawn", "references"), 1)
-    known: dict[str, Any] = {"bases": 100, "compared": 100, "wrong": 0, "different": 0, "upper_95": 1.0, "histogram": {}}
+    known: dict[str, Any] = {"bases": 100, "compared": 100, "wrong": 0, "different": 0, "upper_95": 0.015, "histogram": {}}
     return ValidationRow(**{"scenario": scenario, "error_rate": error_rate, "lower_95": lower, **counts, **known, **given})
 
 
@@ -115,6 +115,16 @@ def test_a_wrong_map_is_amber_behind_lots_and_red_without_them(max_error: float,
     subject = campaign(reduction={"max_error": max_error}, confirmation=CONFIRMED)
     result = lights(subject, studies=[studied(validation(rate, lower))])
     assert result["map_validated" if light == "green" else "map_wrong"] == light
+
+
+@pytest.mark.parametrize(("max_error", "light"), [(0.02, "neutral"), (1.0, "amber")])
+@pytest.mark.parametrize("few", [{"upper_95": 0.975}, {"compared": 0, "error_rate": None, "upper_95": None}])
+def test_a_map_is_validated_only_if_enough_sets_were_compared_in_every_scenario(
+    max_error: float, light: str, few: dict[str, Any]
+) -> None:
+    subject = campaign(reduction={"max_error": max_error}, confirmation=CONFIRMED)
+    result = lights(subject, studies=[studied(validation(0.0, 0.0, "S1"), validation(0.0, 0.0, "S2").model_copy(update=few))])
+    assert result["map_validated"] == light
 
 
 def test_the_newest_validation_of_a_scenario_counts() -> None:
@@ -379,6 +389,7 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     assert ("`upper: 3` of P2 in `problem.yaml`" in bound.text, "problem.yaml" in result.text) == (True, False)
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
     assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
+    assert "at_ends" in lights(campaign(best=best), search=SearchCourse([], ranges), front=Compromises(6, None, 0))
 
 
 @pytest.mark.parametrize(

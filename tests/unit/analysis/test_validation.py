@@ -1,7 +1,8 @@
 """The sets of Section V: all effects of the reducible parameters covered, and variants that stay in their regions."""
 
 from collections.abc import Sequence
-from itertools import combinations, product
+from decimal import Decimal
+from itertools import combinations, pairwise, product
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,9 @@ from tests.support.effort import examples
 from tests.support.values import present
 
 from drivecal.analysis.validation import MOST_EXACT, Differences, ReducibleSpace, _kept, coverage, design, generator
-from drivecal.domain.parameters import Indices
+from drivecal.bundles.expressions import Constraint
+from drivecal.domain.constraints import Constraints
+from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, GeneticSettings
 
 EVERY = np.arange(10)
@@ -113,6 +116,20 @@ def test_the_sets_are_others_than_those_of_a_start_population_with_the_same_seed
     settings = GeneticSettings(population=50, seed=seed)
     start = GENETIC.create(settings, np.full(4, 100)).ask().population
     assert not {tuple(base) for base in drawn.bases.tolist()} & {tuple(individual) for individual in start.tolist()}
+
+
+def test_under_constraints_as_many_sets_are_compared_as_without() -> None:
+    """One of 40,320 curves rises by chance."""
+    names = [f"c{number}" for number in range(8)]
+    space = ParameterSpace(tuple(Parameter.integer(name, Decimal(0), Decimal(9)) for name in names))
+    rising = Constraints(space, {text: Constraint(text) for text in (f"{a} <= {b}" for a, b in pairwise(names))})
+    reducible = classified([LOW] * 8)
+    drawn = present(design(reducible, 40, 5, 1, 40, rising))
+    assert len(drawn.bases) > 30
+    together = np.concatenate([drawn.bases[:, None], drawn.variants], axis=1)
+    assert rising.feasible(drawn.bases).all()
+    assert rising.feasible(together.reshape(-1, 8)).mean() > 0.95
+    assert (LOW[drawn.bases[:, None]] == LOW[drawn.variants]).all(), "variants stay in their regions"
 
 
 SEEDS = (0, 1, 2, 2**32, 2**63 - 1)

@@ -11,6 +11,7 @@ from tests.support.values import COST
 
 from drivecal.analysis.validation import compared, design
 from drivecal.campaigns.stages.validation import reducible_space
+from drivecal.domain.constraints import Constraints
 from drivecal.domain.influence import Influence, InfluenceMap
 from drivecal.domain.parameters import Parameter, ParameterSpace
 from drivecal.domain.scales import COMFORT, Scale
@@ -54,18 +55,13 @@ def test_a_continuous_parameter_is_validated_without_a_table_and_within_constrai
     space = ParameterSpace(tuple(Parameter.from_step(name, Decimal(-1000000), Decimal(1000000), None) for name in "ab"))
     lower = Influence(influential=True, lower=Decimal(500_000))
     influence_map = InfluenceMap({"S1": {"a": lower, "b": Influence(influential=False)}})
-    made = design(reducible_space(influence_map, "S1", space), 20, 3, 1, 400, feasible=lambda x: x[:, 0] <= x[:, 1])
+    constraints = Constraints(space, {"a <= b": lambda values: values["a"] <= values["b"]})
+    made = design(reducible_space(influence_map, "S1", space), 20, 3, 1, 400, constraints)
     assert made is not None
     assert (made.bases[:, 0] <= made.bases[:, 1]).all()
     moved = made.variants[..., 0] != made.bases[:, None, 0]
     assert moved.any()
     assert (made.variants[..., 0][moved] < space.searched[0].first_from(500_000 * 10**9)).all()
-
-
-def test_constraints_without_a_feasible_base_leave_nothing_to_validate() -> None:
-    space = ParameterSpace((Parameter.from_step("a", Decimal(0), Decimal(1), None),))
-    reducible = reducible_space(InfluenceMap({"S1": {"a": Influence(influential=False)}}), "S1", space)
-    assert design(reducible, 5, 2, 1, 10, feasible=lambda points: np.zeros(len(points), dtype=np.bool_)) is None
 
 
 SCALES = [COMFORT, COST, *(replace(COST, tolerance=tolerance) for tolerance in (0.0, 1e-9, 0.3, 0.5, 3.0, 70.0))]

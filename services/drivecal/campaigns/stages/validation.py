@@ -58,7 +58,7 @@ class ValidationStage(StudyStage):
                 wanted.references,
                 wanted.seed,
                 wanted.largest,
-                problem.constraints.feasible if problem.constraints else None,
+                problem.constraints,
             )
             for scenario in problem.scenarios
         }
