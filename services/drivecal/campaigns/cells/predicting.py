@@ -114,6 +114,8 @@ class LotPlanner:
         self._counted = 0
         """Id of the newest of these cells."""
         self._newest: int | None = None
+        self._parts: list[KnownAnswer] = []
+        """Answers of a batch of which cells will still be asked."""
         self._recent_seconds = 0.0
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
@@ -122,8 +124,12 @@ class LotPlanner:
         self.off: str | None = None
         """The reason why predictions are off; None while too little is known, and once they have begun."""
 
-    def learn(self, connection: Connection) -> None:
-        """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer."""
+    def learn(self, connection: Connection, still_asked: tuple[int, int] | None = None) -> None:
+        """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer.
+
+        `still_asked`: iteration and individual of the next cell. If the budget cut its batch, the answers of the first part are learned
+        with those of the rest, as they are by a process that takes over.
+        """
         self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         occupied, self._counted = evaluations.occupied(connection, self._view.campaign, self._counted)
         for scenario, (cells, microseconds) in occupied.items():
@@ -142,11 +148,18 @@ class LotPlanner:
                     self._learn(learner, known)
         answers, self._newest = lots.known_answers(connection, self._view.campaign, list(setups.values()), self._newest)
         by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
-        for answer in answers:
+        for answer in (*self._parts, *answers):
             by_scenario[answer.scenario].append(answer)
+        self._parts = []
+        following = None if still_asked is None else batch_of(StageName.CALIBRATION, *still_asked, self._slice)
         for scenario, listed in by_scenario.items():
-            for _, batch in groupby(listed, lambda each: batch_of(each.stage, each.iteration, each.individual, self._slice)):
-                self._take(self._learners[scenario], list(batch))
+            for place, batch in groupby(
+                listed, lambda each: batch_of(each.stage, each.iteration, each.individual, self._slice)
+            ):
+                if place == following:
+                    self._parts += batch
+                else:
+                    self._take(self._learners[scenario], list(batch))
 
     def is_ready(self, sets: float, batches: float) -> bool:
         """Chooses the scenarios whose predictions pay. Returns whether the library of predictors is loaded. Call it after `learn`.

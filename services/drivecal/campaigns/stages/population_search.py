@@ -6,6 +6,7 @@ Answers may be predicted. The start population is then requested slice by slice,
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,8 @@ class PopulationSearch(ComputedSearch):
             return awaited
         if not self._has_learned:
             with self._view.reuse_time.counted(), self._database.transaction() as connection:
-                self._planner.learn(connection)
+                following = self._batches[0] if self._batches else []
+                self._planner.learn(connection, (self._next - 1, following[0]) if following else None)
             self._has_learned = True
         iterations, each = self._optimization.iterations, max(1.0, self._changed)
         most = ENDLESS if iterations is None else iterations - self._next
@@ -123,8 +125,8 @@ class PopulationSearch(ComputedSearch):
         changed = [int(index) for index in np.flatnonzero(asked.changed)]
         if number:
             self._changed = float(len(changed))
-        size = slice_size(self._optimization.population) if self._planner is not None and number == 0 else len(changed)
-        return [changed[start : start + size] for start in range(0, len(changed), size)] if changed else [[]]
+        size = slice_size(self._optimization.population) if self._planner is not None and number == 0 else len(asked.changed)
+        return [list(members) for _, members in groupby(changed, lambda index: index // size)] or [[]]
 
     def _next_batch(self) -> Round:
         number, batch = self._next - 1, self._batches.pop(0)
