@@ -5,14 +5,14 @@ from __future__ import annotations
 import random
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.changes import install
 from tests.support.computed import ComputedBackend, computed
-from tests.support.runs import dispatcher, get, run, submit
+from tests.support.runs import dispatcher, finish, get, run, submit
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.bench import Bench
@@ -116,6 +116,23 @@ def test_runs_are_what_simulators_count(database: Database, seed: int, monkeypat
     assert sum(runs.values()) == ended.cells.runs == backend.started + backend.unknown
     assert runs["further"] > 0
     assert budget * 0.5 < campaign_answer(ended, ended.created_at, None).spent.simulations <= budget, ended.error
+
+
+def test_a_campaign_that_shares_runs_with_another_uses_its_whole_budget(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The run that was kept for a second one of a shared cell is free again."""
+    monkeypatch.setattr(Bench, "repeated_share", 0.2)
+    backend = ComputedBackend(
+        answer=lambda scenario, cell: replace(
+            computed(scenario, cell), repeats=True if cell.check else None, starts=1 + cell.check
+        )
+    )
+    spec: dict[str, Any] = {"catalogue": ["S1", "S2"], "reduction": {"mode": "exact"}, "budget": {"simulations": 100}}
+    both = [submit(database, optimizer={"kind": "random", "population": 10, "seed": 1}, **spec) for _ in range(2)]
+    working = dispatcher(database, backend)
+    ended = [finish(database, campaign, working) for campaign in both]
+    assert all(each.cells.runs in {99, 100} for each in ended), "no further set fits"
 
 
 def test_a_search_of_an_exhausted_space_ends_before_its_budget(database: Database) -> None:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,17 +39,35 @@ def breaking(scenario: str, cell: Cell) -> CellResult:
     return nearly(scenario, cell)
 
 
-def ask(database: Database, *, population: int = 100, step: float = 0.25, **changes: Any) -> StoredCampaign:
+def ask(
+    database: Database, *, population: int = 100, step: float = 0.25, likeness: str | None = None, **changes: Any
+) -> StoredCampaign:
     known = {scenario: {name: {"influential": False} for name in names} for scenario, names in NOWHERE.items()}
     return submit(
         database,
         stored_map=post_map(database, known),
+        likeness=likeness,
         parameters=[{"name": f"P{i}", "lower": 0, "upper": 1, "step": step} for i in range(1, 5)],
         fixed=REST,
         catalogue=["S1", "S2"],
         optimizer={"kind": "genetic", "population": population, "iterations": ITERATIONS, "seed": 3},
         reduction={"audit": 0.0, "max_error": 0.05, "confirm": 0} | changes,
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("isolated", "counted"), [(True, False), (False, True)])
+def test_equal_campaigns_have_references_in_common_unless_one_is_isolated(
+    tmp_path: Path, *, isolated: bool, counted: bool
+) -> None:
+    database = migrated(f"sqlite:///{tmp_path / '1.db'}")
+    for _ in range(2):
+        ended = run(database, ask(database, likeness="equal", isolated=isolated), ComputedBackend(answer=nearly))
+    own = {row.id for row in rows_of(database, ended)}
+    reused = [row.reference for row in rows_of(database, ended) if row.outcome is Outcome.REUSED]
+    assert len(reused) > 50
+    assert any(reference not in own for reference in reused) == counted
+    database.dispose()
 
 
 @pytest.fixture(scope="module")

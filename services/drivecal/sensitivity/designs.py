@@ -102,6 +102,8 @@ class DesignBuilder:
 
     def design(self, *shape: int) -> Design:
         """Returns the design, with its analyses in the order of their addition, shaped (*shape, r)."""
+        if not self._count:
+            self.add_points(np.zeros((1, len(self._n_values)), dtype=np.int64))  # gaps alone need a row to refer to
         points = np.concatenate(self._points)
         points.flags.writeable = False  # scenarios share them, and effects are computed from them later
         every, firsts, seconds, least = zip(*self._pairs, strict=True)

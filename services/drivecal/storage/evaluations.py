@@ -187,7 +187,8 @@ def own_answers(
 def released_before(
     connection: Connection, place: tuple[int, int, str, int], evaluator: str, parameter_set_ids: Sequence[int]
 ) -> dict[int, Donor]:
-    """Returns the references that answered parameter sets in earlier campaigns of the same `likeness`, by parameter set.
+    """Returns the references that answered parameter sets in campaigns of the same `likeness` that had ended when this one began, by
+    parameter set.
 
     Args:
         connection: where to read.
@@ -196,8 +197,9 @@ def released_before(
         parameter_set_ids: numbers of the sets.
     """
     campaign_sequence, iteration, scenario, setup_id = place
-    cell, here = evaluations.c, select(campaigns.c.likeness).where(campaigns.c.sequence == campaign_sequence).scalar_subquery()
-    alike = select(campaigns.c.sequence).where(campaigns.c.likeness == here, campaigns.c.sequence < campaign_sequence)
+    cell, here = evaluations.c, campaigns.alias()
+    is_alike = (here.c.likeness == campaigns.c.likeness) & (campaigns.c.ended_at <= here.c.started_at)
+    alike = select(campaigns.c.sequence).join(here, is_alike).where(here.c.sequence == campaign_sequence)
     query = (
         select(cell.parameter_set_id, cell.reference, cell.run_id, ratings.c.score, ratings.c.rating, cell.failure)
         .join(ratings, (ratings.c.run_id == cell.run_id) & (ratings.c.evaluator == evaluator))

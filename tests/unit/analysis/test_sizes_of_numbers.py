@@ -150,11 +150,12 @@ def test_predictions_do_not_depend_on_the_unit(size: float, offset: float, kind:
         learner = ScenarioLearner(partial(kind, unit), unit)
         learner.learn(features[:200], scores[:200], scores[:200])
         predicted = present(learner.predict(features[200:]))
-        answers.append((predicted[0].scores, predicted[0].confidence, predicted[1], learner.is_wrong(scores[:-1], scores[1:])))
+        told = predicted[0].scores, predicted[0].confidence, predicted[0].variance / unit**2, predicted[1]
+        answers.append((*told, learner.is_wrong(scores[:-1], scores[1:])))
     (scores, *rest), (same, *same_rest) = answers
     assert (same - offset) / size == pytest.approx(scores, abs=1e-6)
     for usual_answer, other_answer in zip(rest, same_rest, strict=True):
-        assert other_answer == pytest.approx(usual_answer, abs=1e-9)
+        assert other_answer == pytest.approx(usual_answer, abs=1e-6)
 
 
 @pytest.mark.parametrize(("size", "offset"), LEARNED)

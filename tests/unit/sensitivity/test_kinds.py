@@ -110,6 +110,16 @@ def test_points_that_break_constraints_are_never_asked(design: Literal["lines", 
     assert result["speed"].influence.upper is not None
 
 
+@designs
+def test_without_a_feasible_step_of_one_parameter_everything_is_influential(design: Literal["lines", "paper"]) -> None:
+    space = ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(1), Decimal("0.1")) for name in "ab"))
+    constraints = Constraints(space, {"a + b == 1": Constraint("a + b == 1", {"a": (), "b": ()})})
+    chosen = SensitivitySpecification(design=design, intervals=5, samples=8, seed=5)
+    analysis = SensitivityAnalysis(space, ["S1"], chosen, constraints=constraints)
+    drive(analysis, {"S1": lambda points: np.asarray(points[:, 0], dtype=np.float64)})
+    assert {each.influence for each in analysis.result()["S1"].parameters.values()} == {Influence(influential=True)}
+
+
 @pytest.mark.slow
 def test_each_coefficient_of_a_curve_with_a_form_gets_steps_within_what_is_announced() -> None:
     names = [f"gain_{number}" for number in range(1, 9)]

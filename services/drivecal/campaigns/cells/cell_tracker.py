@@ -81,6 +81,8 @@ class CellTracker:
         self._pending: dict[int, StoredEvaluation] = {}
         self._returned: set[int] = set()
         """Cells whose work was returned: they are at workers, or wait for one."""
+        self._twice: set[int] = set()
+        """Cells for which the budget gave a second run."""
         self._copies: dict[int, list[StoredEvaluation]] = {}
         self._breakdowns: Mapping[int, int] = {}
         self._requests: Mapping[int, SetupRequest] = {}
@@ -257,6 +259,8 @@ class CellTracker:
         share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
         twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.seed)
         twice = twice and self.budget.take(beyond=self.budget.kept)
+        if twice:
+            self._twice.add(pending.id)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
 
     def _share_runs(self, connection: Connection, cells: Iterable[StoredEvaluation]) -> list[AnsweredCell]:
@@ -322,7 +326,8 @@ class CellTracker:
         return answers
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
-        self.budget.left += not (is_own or (self._view.isolated and outcome is Outcome.SIMULATED))
+        if not (is_own or (self._view.isolated and outcome is Outcome.SIMULATED)):
+            self.budget.left += 1 + (cell.id in self._twice)
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)

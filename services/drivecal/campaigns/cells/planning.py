@@ -134,9 +134,10 @@ def plan_cells(
                     connection, view.influence_map_sequence, setup_id, distinct, view.bench.evaluator_id, view.watermark
                 )
                 references |= {(scenario, key): donor for key, donor in stored.items()}
-                place = view.campaign, iteration, scenario, setup_id
-                known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
-                elsewhere |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
+                if not view.isolated:
+                    place = view.campaign, iteration, scenario, setup_id
+                    known = evaluations.released_before(connection, place, view.bench.evaluator_id, list(by_id))
+                    elsewhere |= {(scenario, by_id[set_id]): donor for set_id, donor in known.items()}
         if policy.mode != "off" and view.earlier:
             open_cells = {(cell.scenario, cell.parameters): None for cell in wanted}.keys() - exact.keys()
             exact |= answers_of(connection, view.bench, view.earlier, open_cells, view.watermark)

@@ -120,6 +120,9 @@ def search_space(specification: CampaignSpecification, function: Function, diagn
     by_name = {parameter.name: parameter for parameter in listed}
     fixed: dict[str, Value] = {}
     defaults = _default_space(function)
+    free = [each.name for each in listed if each.kind == "continuous" and defaults[each.name].kind == "grid"]
+    if free:
+        diagnostics.notes.append(f"{', '.join(free)}: searched without the problem's grid; give its `step` to keep it")
     names = tuple(defaults)
     settings = coefficients_in(None, specification.fixed, function.shapes, "fixed", diagnostics) or {}
     for name, given in settings.items():
