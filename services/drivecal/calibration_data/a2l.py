@@ -247,7 +247,7 @@ def _fixed(axis: _Block) -> Iterator[float]:
         yield from _numbers([token.text for token in listed.tokens]) if listed.kind == "FIX_AXIS_PAR_LIST" else ()
     for keyword in ("FIX_AXIS_PAR", "FIX_AXIS_PAR_DIST"):
         if given := _numbers(axis.after(keyword, 6)[:3]):
-            distance = 2.0 ** given[1] if keyword == "FIX_AXIS_PAR" else given[1]
+            distance = 2.0 ** min(given[1], 99.0) if keyword == "FIX_AXIS_PAR" else given[1]
             yield from (given[0] + number * distance for number in range(_count(f"{given[2]:.0f}")))
 
 

@@ -4,10 +4,12 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape  # writes only
 
+from drivecal.bundles import units
 from drivecal.calibration_data import cdfx, dcm, files
 from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, quoted
 from drivecal.calibration_data.sections import AXES, SINGLE, joined
@@ -38,9 +40,10 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     mark = _BYTE_ORDER_MARK if held.startswith(_BYTE_ORDER_MARK) else b""
     body = held.removeprefix(mark)
     content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
-    known = {each.name: each for each in joined([content.characteristics])}
+    said = {each.name: each.unit for each in files.read(held, file).characteristics}  # in the file's own encoding
+    known = {each.name: replace(each, unit=said[each.name]) for each in joined([content.characteristics])}
     pieces, end = [mark], 0
-    for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending)):
+    for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending, body)):
         if ending == "dcm" and not text.isascii() and decoded(held, file).encode() != body:
             raise InvalidInputError(Problem(shown(file, 200), f"it is not UTF-8, as {shown(text)} would be", "save as UTF-8"))
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
@@ -48,18 +51,30 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)
     if origin is None:
         return edited
-    lines = origin[0].replace(b"\r\n", b"\n")
-    return _ORIGIN[ending].sub(lambda held: lines.replace(b"\n", b"\r\n") if b"\r\n" in held[0] else lines, edited)
+    lines, names = origin[0].replace(b"\r\n", b"\n"), {each.name for each in chosen}
+
+    def renewed(held: re.Match[bytes]) -> bytes:
+        """The origin of an instance that has a chosen value; those of others, that an earlier set gave, stay."""
+        line = edited.count(b"\n", 0, held.start()) + 1
+        owner = max((each for each in known.values() if each.line <= line), key=attrgetter("line"), default=None)
+        if ending == "cdfx" and (owner is None or owner.name not in names):
+            return held[0]
+        return lines.replace(b"\n", b"\r\n") if b"\r\n" in held[0] else lines
+
+    return _ORIGIN[ending].sub(renewed, edited)
 
 
-def _edits(known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str) -> Iterator[_Edit]:
+def _edits(
+    known: Mapping[str, Characteristic], changed: Mapping[str, Characteristic], form: str, body: bytes
+) -> Iterator[_Edit]:
     for name, old in known.items():
         new = changed[name]
         pairs = [(old.values or (old.value,), new.values or (new.value,), old.places)]
         pairs += [(before.points, after.points, before.places) for before, after in zip(old.axes, new.axes, strict=True)]
         for was, given, places in pairs:
             for before, after, (begin, end) in zip(was, given, places, strict=False):
-                text = after if isinstance(after, str) else repr(after)
+                is_whole = isinstance(after, float) and after.is_integer() and body[begin:end].lstrip(b"+-").isdigit()
+                text = after if isinstance(after, str) else repr(int(after) if is_whole else after)
                 if before != after:
                     yield begin, end, escape(text) if form == "cdfx" else quoted(text) if isinstance(after, str) else text
 
@@ -86,6 +101,9 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
                 message = f"{shown(file, 200)} has the number of a choice, and no text"
                 problem = Problem(shown(name), message, "give a base with the text (TEXT of a DCM, VT of a CDFX)")
             problems.append(old.fault or problem)
+        elif not {old.unit, new.unit} & units.WITHOUT and not units.same(old.unit, new.unit):
+            message = f"{shown(file, 200)} has it in {old.unit}, and the problem in {new.unit}"
+            problems.append(Problem(shown(name), message, "give a base in the problem's units"))
         result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))
     missing = f"{shown(file, 200)} does not have it"
     problems += [Problem(shown(name), missing, nearest(name, list(known))) for name in sorted(unknown - known.keys())]

@@ -159,7 +159,7 @@ def number_or_fault(text: str, line: int, file: str) -> tuple[float, None] | tup
     """Returns the number of a text, with a fault of its characteristic alone if it is not finite. Raises InvalidInputError naming file and
     line if it is no number."""
     try:
-        value = float(text)
+        value = float(text.replace("_", "?"))  # 1_0 is no number of a file
     except ValueError:
         raise refused(file, line, f"{shown(text)} is not a number", "give a finite number, with a point") from None
     if math.isfinite(value):

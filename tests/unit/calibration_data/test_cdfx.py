@@ -34,6 +34,14 @@ def instance(name: str, value: str, category: str = "VALUE", around: str = "{}")
     return f"<SW-INSTANCE><SHORT-NAME>{name}</SHORT-NAME><CATEGORY>{category}</CATEGORY>{around.format(held)}</SW-INSTANCE>"
 
 
+def test_axes_are_ordered_by_their_index() -> None:
+    axis = "<SW-AXIS-CONT><CATEGORY>STD_AXIS</CATEGORY><SW-AXIS-INDEX>{}</SW-AXIS-INDEX><SW-VALUES-PHYS>{}</SW-VALUES-PHYS></SW-AXIS-CONT>"
+    y, x = axis.format(2, "<V>10</V><V>20</V>"), axis.format(1, "<V>1</V><V>2</V>")
+    held = instance("m", "<VG><V>5</V><V>6</V></VG>" * 2, "MAP", f"{{}}<SW-AXIS-CONTS>{y}{x}</SW-AXIS-CONTS>")
+    (read,) = cdfx.read(document(held), "a.cdfx").characteristics
+    assert [axis.points for axis in read.axes] == [(1.0, 2.0), (10.0, 20.0)]
+
+
 VARIANT = "<SW-INSTANCE-PROPS-VARIANT>{}</SW-INSTANCE-PROPS-VARIANT>"
 
 

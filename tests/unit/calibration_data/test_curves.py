@@ -156,7 +156,7 @@ def test_an_array_has_one_axis_whichever_sizes_of_1_its_files_have(sizes: str, d
     assert (array.fault, array.axes, array.given) == (None, (index(5),), [1.0, 2.0, 3.0, 4.0, 5.0])
 
 
-@pytest.mark.parametrize(("held", "chosen", "made"), [(b"0", "true", b"1.0"), (b"1", "true", b"1"), (b"1.0", "false", b"0.0")])
+@pytest.mark.parametrize(("held", "chosen", "made"), [(b"0", "true", b"1"), (b"1", "true", b"1"), (b"1.0", "false", b"0.0")])
 def test_a_choice_that_a_base_has_as_a_number_stays_one(tmp_path: Path, held: bytes, chosen: str, made: bytes) -> None:
     base = tmp_path / "b.cdfx"
     written = cdfx.write([Characteristic("flag", 7.0, choices=cdfx.TRUTHS)])
@@ -164,6 +164,25 @@ def test_a_choice_that_a_base_has_as_a_number_stays_one(tmp_path: Path, held: by
     flag = Characteristic("flag", chosen, choices=cdfx.TRUTHS)
     assert carried(base, "cdfx", [flag]) == written.replace(b"<V>7.0", b"<V>" + made)
     assert [each.given for each in dcm.read(carried(base, "dcm", [flag]), "b.dcm").characteristics] == [float(made)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_base_keeps_the_form_of_whole_numbers_and_refuses_other_units(tmp_path: Path, form: CalibrationFormat) -> None:
+    base, speed = tmp_path / f"b.{form}", Characteristic("v", 10.0, "m/s²")
+    base.write_bytes(FORMS[form].write([replace(speed, value=7)]))
+    assert carried(base, form, [speed]) == FORMS[form].write([replace(speed, value=10)])
+    base.write_bytes(FORMS[form].write([replace(speed, unit="km/h²")]))
+    assert faulty_fields(carried, base, form, [speed]) == ["v"]
+
+
+def test_the_history_of_what_another_campaign_calibrated_stays(tmp_path: Path) -> None:
+    base, later = tmp_path / "b.cdfx", replace(QUALITY, campaign="e" * 32)
+    first, second = Characteristic("a", 1.0), Characteristic("b", 2.0)
+    base.write_bytes(cdfx.write([first, second], QUALITY))
+    made = carried(base, "cdfx", [replace(first, value=5.0)], cdfx.write([first], later))
+    both = cdfx.write([replace(first, value=5.0), second], later)
+    kept = both.rpartition(later.campaign.encode())
+    assert made == QUALITY.campaign.encode().join([kept[0], kept[2]])
 
 
 @pytest.mark.parametrize("form", FORMS)
