@@ -73,8 +73,9 @@ def _edits(
         pairs += [(before.points, after.points, before.places) for before, after in zip(old.axes, new.axes, strict=True)]
         for was, given, places in pairs:
             for before, after, (begin, end) in zip(was, given, places, strict=False):
-                is_whole = isinstance(after, float) and after.is_integer() and body[begin:end].lstrip(b"+-").isdigit()
-                text = after if isinstance(after, str) else repr(int(after) if is_whole else after)
+                text = after if isinstance(after, str) else repr(after)
+                if body[begin:end].lstrip(b"+-").isdigit():
+                    text = text.removesuffix(".0")
                 if before != after:
                     yield begin, end, escape(text) if form == "cdfx" else quoted(text) if isinstance(after, str) else text
 

@@ -39,6 +39,8 @@ from drivecal.roads.opendrive import (
 )
 from drivecal.roads.placement import place
 
+LEFT_OUT = frozenset({"connectingRamp", "slipLane"})
+"""Types of driven lanes that netconvert does not know, and would leave out without a word."""
 LENGTH = 0.1
 """Metres of a connecting road."""
 START, END = "start", "end"
@@ -287,7 +289,8 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
             if side.tag in {"left", "right"}:
                 side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
     for lane in document.iter("lane"):
-        lane.attrib.setdefault("type", "none")
+        kind = lane.get("type", "none")
+        lane.set("type", "driving" if kind in LEFT_OUT else kind)
     for holder in (*document.iter("lane"), *document.iter("type")):
         for speed in holder.findall("speed"):
             limit = speed.get("max", "")  # netconvert reads all of lanes as numbers, and gives up
@@ -362,7 +365,7 @@ def _cause(file: RoadFile, code: int, errors: list[str]) -> Problem:
                 )
                 return Problem(file.name, message, "put a road between the junctions, or make them one junction")
     if file.lost and "is not known" in said:
-        return file.lost[0]
+        return file.lost
     named = [road for name, road in file.roads.items() if f"'{name}'" in said or len(file.roads) == 1]
     where = "".join(f"line {road.line}, road {shown(road.id, 60)}: " for road in named[:1])
     remedy = "correct the road there" if named else "export the file again, or leave out roads until it can be converted"

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 from math import ceil, cos, hypot, sin
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -260,13 +261,13 @@ class FileRoad:
 @dataclass(slots=True)
 class RoadFile:
     """The content of an `.xodr`. `ignored`: how often each element stands in it that the conversion ignores; `notes`: on the rest;
-    `lost`: links to roads that are not there."""
+    `lost`: the first link to a road that is not there."""
 
     name: str
     roads: dict[str, FileRoad]
     ignored: Mapping[str, int]
     notes: JoinedNotes
-    lost: tuple[Problem, ...] = ()
+    lost: Problem | None = None
 
 
 def read_opendrive(content: bytes, name: str) -> RoadFile:
@@ -379,13 +380,14 @@ class _Reader:
         """Returns the file's content."""
         if not self.roads:
             raise InvalidInputError(Problem(self.name, "the file has no roads", "give a file with roads"))
-        lost: list[Problem] = []
+        lost: Problem | None = None
         for attributes, key in self.named:
             if (name := attributes.text(key)) not in self.roads:
-                message = f"{key} is {shown(name, 60)}, and there is no such road"
-                lost += attributes.fault(message, nearest(name, list(self.roads))).problems
+                if lost is None:
+                    message = f"{key} is {shown(name, 60)}, and there is no such road"
+                    (lost,) = attributes.fault(message, nearest(name, list(self.roads))).problems
                 self.notes.add(f"line {attributes.line}, <{attributes.element}>", f"{key} names a road that is not there")
-        return RoadFile(self.name, self.roads, self.ignored, self.notes, tuple(lost))
+        return RoadFile(self.name, self.roads, self.ignored, self.notes, lost)
 
     def on_opendrive_header(self, attributes: Attributes) -> None:
         """Checks the version."""
@@ -556,5 +558,5 @@ def leaves_open(limit: str) -> bool:
 
 
 def _last(limits: list[tuple[float, float | None]], s: float) -> float | None:
-    before = [limit for begin, limit in limits if begin <= s + 1e-6]
+    before = [limit for begin, limit in sorted(limits, key=itemgetter(0)) if begin <= s + 1e-6]
     return before[-1] if before else None

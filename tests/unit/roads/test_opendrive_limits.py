@@ -11,6 +11,7 @@ from drivecal.domain.errors import InvalidInputError
 from drivecal.roads.conversion import Conversion, converted
 from drivecal.roads.corridor import Corridor, corridor
 from drivecal.roads.network import Network, read_network, unlimited
+from drivecal.roads.opendrive import DRIVEN
 
 NAME = "road.xodr"
 ALONG, AGAINST = ("-5#0", "-5#1", "-5#2", "-5#3", "-5#4", "-5#5"), ("5#5", "5#4", "5#3", "5#2", "5#1", "5#0")
@@ -65,6 +66,18 @@ def test_the_limit_of_a_lane_changes_in_its_section() -> None:
     assert [limit for _, limit in changes(road, 1)] == [20.0, 15.0, 33.5]
     assert changes(road, 1)[1][0] == pytest.approx(60.0, abs=1.5)
     assert changes(road, 2) == [(0.0, 33.5)]
+
+
+def test_limits_count_by_their_place_in_whatever_order_they_stand() -> None:
+    first, later = '<speed sOffset="0" max="72" unit="km/h"/>', '<speed sOffset="60" max="54" unit="km/h"/>'
+    content = edited("two_way", r'(<lane id="-2" type="driving"[^>]*>.*?)</lane>', rf"\1{later}{first}</lane>")
+    assert [limit for _, limit in changes(drive(content, ALONG), 1)] == [20.0, 15.0, 33.5]
+
+
+@pytest.mark.parametrize("kind", sorted(DRIVEN))
+def test_all_driven_lanes_are_in_the_network(kind: str) -> None:
+    content = edited("two_way", '<lane id="-2" type="driving"', f'<lane id="-2" type="{kind}"')
+    assert len(network(content).edges["-5#0"].lanes) == len(network(FILES["two_way"]()).edges["-5#0"].lanes)
 
 
 @pytest.mark.parametrize(

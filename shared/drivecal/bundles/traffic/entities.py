@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from posixpath import dirname, join, normpath
 
-from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
+from drivecal.bundles.traffic.elements import MOST_ELEMENTS, Element, Notes, declare, read_tree, substituted
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
@@ -84,6 +84,7 @@ def entities_of(root: Element, files: Files, notes: Notes) -> dict[str, Entity]:
         if described.element == "CatalogReference":
             referring.setdefault(described.text("catalogName"), []).append((name, described, element))
         else:
+            declare(described, {})
             entities[name] = _entity(name, described, element, notes)
         for controller in element.every("ObjectController"):
             controller.skip()
@@ -113,13 +114,25 @@ class Catalogs:
     def __init__(self, root: Element, files: Files) -> None:
         self._root, self._files = root, files
         self._known: dict[tuple[str, str], tuple[str, dict[str, Element]]] = {}
+        self._taken = 0
+        """Elements of the entries so far."""
 
     def entry(self, reference: Element, tag: str) -> Element:
         """Returns the entry of a catalog that a reference names, e.g. a <Maneuver>. Raises InvalidInputError."""
         name = reference.text("catalogName")
         if (name, tag) not in self._known:
             self._known[name, tag] = _catalog(name, reference, self._root.optional("CatalogLocations"), self._files, (tag,))
-        return _entry(*self._known[name, tag], reference)
+        taken = _entry(*self._known[name, tag], reference)
+        self._taken += _size(taken)
+        if self._taken > MOST_ELEMENTS:
+            raise reference.fault(
+                f"the entries of catalogs have more than {MOST_ELEMENTS:,} elements", "name fewer or smaller ones"
+            )
+        return taken
+
+
+def _size(element: Element) -> int:
+    return 1 + sum(map(_size, element.children))
 
 
 def _catalog(
@@ -134,7 +147,7 @@ def _catalog(
         directory = location.only("Directory")
         folders.append(directory.text("path"))
         folder = normpath(join(dirname(reference.file), directory.text("path")))
-        for file in sorted(path for path in files.names if dirname(path) == folder and path.endswith(".xosc")):
+        for file in sorted(path for path in files.names if normpath(dirname(path)) == folder and path.endswith(".xosc")):
             content = files.catalog(file, name)
             if content is not None:
                 described = reversed(content.every(*tags))  # the first of a name stays

@@ -166,6 +166,7 @@ class _Init:
             for mode in action.every("TrajectoryFollowingMode"):
                 mode.skip()
         along, left = way.along(self.poses[name]) if name in self.poses else (0.0, 0.0)
+        left = left if action.element == "AssignRouteAction" else 0.0  # a trajectory is followed as it is
         self.poses[name] = way.pose(along, left)
         self.notes.add(action, "driven on no lane, unseen by SUMO's models")
         self.starts[name] = _Start(NOWHERE, 0.0, way.shifted(left), along + self.entities[name].centre)

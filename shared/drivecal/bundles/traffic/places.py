@@ -271,7 +271,7 @@ class Map:
         self, network: Network, source: Callable[[], RoadFile] | None, check_time: Callable[[], None] = lambda: None
     ) -> None:
         """`source`: reads the OpenDRIVE file. `check_time`: raises InvalidInputError if all places take too long."""
-        self.network, self._source, self._check_time = network, source, check_time
+        self.network, self._source, self.check_time = network, source, check_time
         roads = [lane for edge in network.edges.values() if edge.function == "" for lane in edge.lanes]
         self.ground = Ground(network)
         self._by_origin: dict[str, list[Lane]] = {}
@@ -288,7 +288,7 @@ class Map:
         """Returns the place of a <Position>. Raises InvalidInputError.
 
         `places` holds the known places of entities. `route` holds the edges of the drive, and is empty while they are unknown."""
-        self._check_time()
+        self.check_time()
         kind = position.only("LanePosition", "WorldPosition", "RoadPosition", "RelativeLanePosition", "RelativeRoadPosition")
         if kind.element == "WorldPosition":
             x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivecal.bundles.traffic.elements import Element
+from drivecal.bundles.traffic.elements import Element, declare
 from drivecal.bundles.traffic.entities import Catalogs
 from drivecal.bundles.traffic.places import FilePlace, Map, links, projected
 from drivecal.domain.roads import Floats
@@ -71,7 +71,10 @@ class WayReader:
         child = reference.only(tag, f"{tag}Ref", "CatalogReference")
         if child.element == f"{tag}Ref":
             return self.resolved(child, tag)
-        return child if child.element == tag else self.catalogs.entry(child, tag)
+        if child.element != tag:
+            return self.catalogs.entry(child, tag)
+        declare(child, {})
+        return child
 
     def trajectory(
         self, reference: Element, places: Mapping[str, FilePlace], poses: Mapping[str, Pose], depth: int = 0
@@ -159,6 +162,7 @@ class WayReader:
 
         Raises InvalidInputError.
         """
+        self._roads.check_time()
         kind = next((child for child in position.every(*FREE)), None)
         if kind is None:
             place = self._roads.place(position, places, drive)

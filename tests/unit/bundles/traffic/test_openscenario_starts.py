@@ -35,7 +35,7 @@ from tests.support.scenario_files import (
 from tests.support.values import faults_of, faulty_fields
 
 from drivecal.bundles.archives import files_of
-from drivecal.bundles.traffic.elements import Notes, read_tree
+from drivecal.bundles.traffic.elements import Notes, read_tree, substituted
 from drivecal.bundles.traffic.entities import Files, entities_of
 from drivecal.bundles.traffic.places import Map
 from drivecal.configuration.problems import read_archived, read_bundle_with_notes
@@ -185,6 +185,20 @@ def test_a_catalog_is_read_once_however_many_refer_to_it() -> None:
     twice = locations.replace("</CatalogLocations>", "") + locations.removeprefix("<CatalogLocations>")
     with pytest.raises(InvalidInputError, match="several"):
         entities_of(read_tree(f"<a>{twice}<Entities>{entities}</Entities></a>".encode(), "s.xosc", "a"), files, Notes("s.xosc"))
+
+
+def test_a_catalog_beside_a_scenario_at_the_top_of_the_bundle_is_found_and_vehicles_have_parameters_of_their_own() -> None:
+    declared = (
+        '<ParameterDeclarations><ParameterDeclaration name="l" parameterType="double" value="7"/></ParameterDeclarations>'
+    )
+    own = re.sub('length="[^"]*"', 'length="$l"', vehicle().replace(">", f">{declared}", 1))
+    catalog = f'<OpenSCENARIO><Catalog name="c">{own}</Catalog></OpenSCENARIO>'.encode()
+    files = Files(frozenset(["c.xosc"]), {"c.xosc": catalog}.__getitem__)
+    locations = '<CatalogLocations><VehicleCatalog><Directory path="."/></VehicleCatalog></CatalogLocations>'
+    reference = '<CatalogReference catalogName="c" entryName="car"/>'
+    both = "".join(f'<ScenarioObject name="{key}">{of}</ScenarioObject>' for key, of in (("a", reference), ("b", own)))
+    root = read_tree(f"<a>{locations}<Entities>{both}</Entities></a>".encode(), "s.xosc", "a", substituted)
+    assert [each.length for each in entities_of(root, files, Notes("s.xosc")).values()] == [7.0, 7.0]
 
 
 def test_a_duration_of_the_scenario_replaces_that_of_the_file() -> None:

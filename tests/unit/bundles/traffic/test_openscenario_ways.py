@@ -28,7 +28,9 @@ from tests.support.scenario_files import (
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import Brake, Meet
 from drivecal.bundles.highway_checks import scenario_problems
+from drivecal.bundles.traffic import entities
 from drivecal.bundles.traffic.description import Description
+from drivecal.domain.errors import InvalidInputError
 
 HEADING = 0.2
 """Heading of the motorway's straight, which begins at (100, 50)."""
@@ -116,6 +118,20 @@ def test_a_pedestrian_of_a_trajectory_of_a_catalog_meets_the_ego_vehicle() -> No
     assert (meet.other, meet.speed, meet.steady) == ("ego", 1.5, 4.0)
     assert meet.at == pytest.approx(7.0)
     assert meet.other_s == pytest.approx(390.0 + 1.4, abs=0.1)  # the centre is ahead of the reference point
+
+
+def test_a_trajectory_is_followed_as_it_is_also_by_a_vehicle_beside_it() -> None:
+    follow = FOLLOW.replace(ACROSS, WAY)
+    walker = other_of(read(CARS | {"Other": WALKER}, EGO + private("Other", moved(lane(-3, 3)), follow)))
+    (first, right), (last, left) = path_of(walker)
+    assert (first, last) == pytest.approx((1.0, 1.0), abs=0.01)
+    assert right < -8.75 < left == pytest.approx(-8.75 + 6.0, abs=0.01)
+
+
+def test_entries_of_catalogs_have_a_limit_of_elements_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(entities, "MOST_ELEMENTS", 15)
+    with pytest.raises(InvalidInputError, match="catalogs have more than 15 elements"):
+        read(CARS | {"Other": WALKER, "Next": WALKER}, EGO + private("Other", FOLLOW) + private("Next", FOLLOW))
 
 
 def test_a_pedestrian_walks_on_a_lane_and_a_bicycle_has_its_size() -> None:
