@@ -81,14 +81,13 @@ def _by_pair(rows: Iterable[InfluenceRow]) -> dict[Pair, InfluenceRow]:
     return {(row.scenario, row.parameter): row for row in rows}
 
 
-def agree(first: InfluenceRow, second: InfluenceRow, analysed: tuple[InfluenceRow, InfluenceRow] | None = None) -> bool:
+def agree(first: InfluenceRow, second: InfluenceRow, analysed: tuple[InfluenceRow, InfluenceRow]) -> bool:
     """Returns whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, plus half a grid step for the
     rounding of an interval's edge. Without an analysis behind either map, they must be equal. `analysed` has both rows in the maps' own
-    spaces, None if `first` and `second` are these."""
+    spaces."""
     if not (first.influential and second.influential):
         return first.influential == second.influential
-    whole = analysed or (first, second)
-    allowed = max(map(_interval, whole)) + ROUNDING * max(map(_range, whole))
+    allowed = max(map(_interval, analysed)) + ROUNDING * max(map(_range, analysed))
     return _near(first.lower, second.lower, allowed) and _near(first.upper, second.upper, allowed)
 
 

@@ -89,7 +89,7 @@ def connect_directly(document: Element, file: RoadFile) -> None:
                 sides[side.road.id, side.contact] = side
                 _link(names[side.road.id], side.contact, name)
             for pair in connection.findall("laneLink"):
-                lanes = _number(pair.get("from")), _number(pair.get("to"))
+                lanes = int(pair.get("from", "0")), int(pair.get("to", "0"))
                 if first.has(lanes[0]) and second.has(lanes[1]):
                     forwards = first.leaves(lanes[0])
                     before, after = (first, second) if forwards else (second, first)
@@ -169,12 +169,6 @@ def _left_border(side: _Side, lane: int, s: Floats) -> tuple[float, float]:
     heading = float(side.road.reference(s)[2][0])
     left = 0.5 * width if lane < 0 else -0.5 * width
     return float(x - left * sin(heading)), float(y + left * cos(heading))
-
-
-def _number(text: str | None) -> int:
-    """Returns a lane's number, 0 if the text is not a number."""
-    plain = (text or "").removeprefix("-")
-    return int(text or "0") if plain.isascii() and plain.isdigit() and len(plain) < 3 else 0
 
 
 DEFAULT_WIDTH = 3.65

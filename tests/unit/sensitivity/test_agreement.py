@@ -39,8 +39,8 @@ NOTHING = row(None, None, influential=False)
     ],
 )
 def test_bounds_may_differ_by_one_interval(first: InfluenceRow, second: InfluenceRow, *, expected: bool) -> None:
-    assert agree(first, second) is expected
-    assert agree(second, first) is expected
+    assert agree(first, second, (first, second)) is expected
+    assert agree(second, first, (first, second)) is expected
 
 
 def test_what_only_one_map_knows_is_listed_and_not_counted() -> None:
