@@ -56,7 +56,14 @@ def solutions(
     if weights is not None:
         assignments(weights.split(","), "--weights")
     page = client.solutions(identifier, weights, limit, score, variant)
-    return page, lambda: print_solutions(page.items, client.setup(identifier).shapes)
+
+    def shown() -> None:
+        print_solutions(page.items, client.setup(identifier).shapes)
+        cells = client.campaign(identifier).cells
+        if score is not None and cells.reused + cells.predicted:
+            say("note: sets with a copied or predicted score have no other score and are left out; drivecal rerun rates them")
+
+    return page, shown
 
 
 @app.command()

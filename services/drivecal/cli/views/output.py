@@ -174,7 +174,7 @@ def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
 
 def print_curves(shapes: Mapping[str, ShapeAnswer], sets: Mapping[str, Mapping[str, float | str]]) -> None:
     """Prints the curves and maps of `sets`, parameters by title, with the range of the campaign's good sets."""
-    for name, shape in shapes.items():
+    for name, shape in shapes.items() if sets else ():
         values = {title: shape.values(each) for title, each in sets.items()}
         if shape.good is not None:
             values |= {f"lowest of good sets ({shape.good.sets})": shape.good.lower, "highest": shape.good.upper}

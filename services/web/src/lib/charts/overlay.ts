@@ -1,6 +1,5 @@
 /** The searches of several campaigns on one chart. */
 
-import { grouped } from "../grouped";
 import { SERIES } from "./palette";
 import type { Series } from "./plot";
 import type { Campaign, CampaignSetup, Generation } from "../server/types";
@@ -25,7 +24,7 @@ export function haveLikeScores(campaigns: readonly Scored[]): boolean {
 
 /** Searches by what their objectives are: other names, units or directions, or of scores other formulas, need another axis. */
 export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
-  const groups = grouped(searches, ({ of }) => JSON.stringify(measureOf(of)));
+  const groups = Map.groupBy(searches, ({ of }) => JSON.stringify(measureOf(of)));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }
 

@@ -1,6 +1,5 @@
 /** Where the lines and points of a chart lie: scales, paths, and which points are drawn, in pixels from the upper left corner. */
 
-import { grouped } from "../grouped";
 import type { Sheet } from "../server/columns";
 import { number } from "../text/format";
 import { nearestTo } from "./geometry";
@@ -107,7 +106,7 @@ export function numbersOf(series: readonly Series[], x: readonly number[], xTitl
 
 /** What the legend lists: each group once. */
 export function legend(series: readonly Series[]): Series[] {
-  return [...grouped(series, (line) => line.group ?? line.name).values()].flatMap(([first]) => first ?? []);
+  return [...Map.groupBy(series, (line) => line.group ?? line.name).values()].flatMap(([first]) => first ?? []);
 }
 
 /** Sizes a canvas to a width and height in CSS pixels, sharp on dense screens, and returns its empty drawing context. */

@@ -1,6 +1,5 @@
 /** What happened to campaigns since a moment: which ended, what has a better answer, and what needs a person. */
 
-import { grouped } from "../grouped";
 import { hasFront } from "../front/sets";
 import type { Campaign, ResultTrust } from "../server/types";
 import { evidenceOf } from "./evidence";
@@ -36,7 +35,7 @@ const isNew = ({ ended_at, started_at }: Campaign, since: number): boolean => st
 /** The best new campaign of each question whose best value beats those before by more than the tolerance. Fronts have no best set. */
 export function betterSince(known: readonly Campaign[], since: number): Better[] {
   const asked = known.filter((campaign) => campaign.best && campaign.best.violation === 0 && campaign.spec["problem"] !== undefined && calibrates(campaign) && !hasFront(campaign.spec));
-  const questions = grouped(asked, ({ spec, scale }) => JSON.stringify([scale, ...DECIDING.map((name) => spec[name])]));
+  const questions = Map.groupBy(asked, ({ spec, scale }) => JSON.stringify([scale, ...DECIDING.map((name) => spec[name])]));
   return [...questions.values()].flatMap((campaigns): Better[] => {
     const minimised = (campaigns[0]?.objective ?? campaigns[0]?.scale)?.direction === "minimise";
     const ahead = (from: readonly Campaign[]): Campaign | undefined => [...from].sort((a, b) => -(gain(a.best?.objective, b.best?.objective, minimised) ?? 0))[0];
