@@ -12,6 +12,7 @@ from tests.support.serve import Server, serving
 from drivecal.client import Client
 
 PUSH = "drivecal problem push"
+ID_LENGTH = 32
 TUTORIALS = sorted((DOCS / "pages" / "tutorials").glob("*.md"))
 
 
@@ -32,8 +33,8 @@ def server(running: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     return running
 
 
-def typed(line: str, server: Server) -> None:
-    """Runs a line of a tutorial; ID and ID2 are the newest campaign, CELL is its first cell."""
+def typed(line: str, server: Server) -> list[list[str]]:
+    """Runs a line of a tutorial; ID and ID2 are the newest campaign, CELL is its first cell. Returns the words of each printed line."""
     words = shlex.split(line, comments=True)
     assert words[0] == "drivecal", line
     if {"ID", "ID2"} & set(words):
@@ -45,6 +46,13 @@ def typed(line: str, server: Server) -> None:
         words = [names.get(word, word) for word in words]
     result = command(*words[1:])
     assert result.exit_code == 0, (line, result.output, result.stderr)
+    return [printed.split() for printed in result.output.splitlines()]
+
+
+def is_printed(shown: str, printed: list[list[str]]) -> bool:
+    """Returns whether a page shows a printed line. A campaign's id may differ, and the last word, such as a time."""
+    words = [word for word in shown.split()[:-1] if len(word) != ID_LENGTH]
+    return any([word for word in line if len(word) != ID_LENGTH][: len(words)] == words for line in printed)
 
 
 @pytest.mark.slow
@@ -53,6 +61,7 @@ def test_a_tutorial_works_as_it_is_written(page: Path, server: Server) -> None:
     with Client(server.url) as client:
         earlier_pages = {campaign.id for campaign in client.campaigns(limit=100).items}
     lines: list[str] = []
+    printed: list[list[str]] = []
     edits = [("4*peak", "8*peak"), ("", "  duration: {formula: time_s, direction: minimise, range: [0, 20], failed: 60}\n")]
     for block in blocks(page):
         if block.title:
@@ -66,8 +75,10 @@ def test_a_tutorial_works_as_it_is_written(page: Path, server: Server) -> None:
                     assert before in text
                     manifest.write_text(text.replace(before, after) if before else text + after)
                 if not line.startswith("drivecal serve"):  # it runs already
-                    typed(line, server)
+                    printed += typed(line, server)
                 lines.append(line)
+        elif block.language == "text":
+            assert [shown for shown in block.text.splitlines() if not is_printed(shown, printed)] == []
     assert len(lines) > 5
     with Client(server.url) as client:
         campaigns = [campaign for campaign in client.campaigns(limit=100).items if campaign.id not in earlier_pages]

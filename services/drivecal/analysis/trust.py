@@ -118,9 +118,8 @@ class SearchCourse:
 
 @dataclass(frozen=True, slots=True)
 class Compromises:
-    """The front of several objectives. `dominating` counts the sets that are better than the baseline in an objective and worse in none;
-    None without an evaluated baseline. `copied` counts the sets with a score of a reference. `is_close`: runs do not tell
-    the baseline from them."""
+    """The front of several objectives. `dominating`: sets that are better than the baseline in an objective and worse in none, None without
+    an evaluated one. `copied`: sets with a score of a reference. `is_close`: runs do not tell the baseline from them."""
 
     size: int
     dominating: int | None
@@ -197,11 +196,8 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _chosen(campaign, chosen, search)
         yield from _course(campaign, search)
     elif front is not None:
-        yield from (
-            *_constraints(campaign, known, " by the first objective"),
-            *_front(campaign, front),
-            *_seen(campaign, search),
-        )
+        yield from (*_constraints(campaign, known, " by the first objective"), *_front(campaign, front))
+        yield from _seen(campaign, search)
     else:
         yield from _constraints(campaign, known)
         yield from (*_confirmation(campaign), *_baseline(campaign, known), *_course(campaign, search))
@@ -495,8 +491,8 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
         wrong, variants = (sum(getattr(row, name) for _, row in compared) for name in ("wrong", "compared"))
         worst = max(row.error_rate or 0.0 for _, row in compared)
         upper = max(1.0 if row.upper_95 is None else row.upper_95 for _, row in rows if row.reducible)
-        found: Light | Literal["neutral"] = "green" if upper <= limit else "neutral" if inspected else "amber"
-        yield verdict("map_validated", found, wrong=wrong, variants=variants, worst=worst, upper=upper)
+        validated: Light | Literal["neutral"] = "green" if upper <= limit else "neutral" if inspected else "amber"
+        yield verdict("map_validated", validated, wrong=wrong, variants=variants, worst=worst, upper=upper)
     elif uses_map and not compared and campaign.cells.reused and not inspected:
         yield verdict("map_unchecked", "amber")
 

@@ -204,8 +204,8 @@ def _latin_hypercube(n_values: Indices, size: int, drawing: np.random.Generator)
 
 
 def _variants(space: ReducibleSpace, bases: Indices, constraints: Constraints | None, drawing: np.random.Generator) -> Indices:
-    """Returns a variant of each base, shape (n, n_searched). Of changes that together break constraints it has those that, one after the
-    other, keep them; if none does, others are drawn."""
+    """Returns a variant of each base, shape (n, n_searched). If its changes break constraints, it has a part of them, taken one after
+    the other; if each one breaks some, others are drawn."""
     rows = np.array([_variant(space, base, drawing) for base in bases], dtype=np.int64)
     if not constraints:
         return rows

@@ -54,7 +54,7 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     lines, names = origin[0].replace(b"\r\n", b"\n"), {each.name for each in chosen}
 
     def renewed(held: re.Match[bytes]) -> bytes:
-        """The origin of an instance that has a chosen value; those of others, that an earlier set gave, stay."""
+        """The new origin, if it belongs to an instance with a chosen value; an earlier set gave the others."""
         line = edited.count(b"\n", 0, held.start()) + 1
         owner = max((each for each in known.values() if each.line <= line), key=attrgetter("line"), default=None)
         if ending == "cdfx" and (owner is None or owner.name not in names):

@@ -115,7 +115,7 @@ class LotPlanner:
         """Id of the newest of these cells."""
         self._newest: int | None = None
         self._parts: list[KnownAnswer] = []
-        """Answers of a batch of which cells will still be asked."""
+        """Answers of a batch with cells that are not asked yet."""
         self._recent_seconds = 0.0
         self._rows: dict[int, int] = {}
         self._forecasts: dict[str, _Forecast] = {}
@@ -128,7 +128,7 @@ class LotPlanner:
         """Reads the answers and lots since the last call. No cell of the campaign may wait for its answer.
 
         `still_asked`: iteration and individual of the next cell. If the budget cut its batch, the answers of the first part are learned
-        with those of the rest, as they are by a process that takes over.
+        together with the rest, as a process that takes over learns them.
         """
         self._lots_so_far = lots.of_campaign(connection, self._view.campaign, Outcome.PREDICTED)
         occupied, self._counted = evaluations.occupied(connection, self._view.campaign, self._counted)

@@ -265,18 +265,8 @@ def front_blocks(rows: Sequence[FrontRow], summary: FrontSummary, limit: int = S
     first = rows[0]
     weighted = ["weighted"] if first.weighted is not None else []
     seeds = ["seeds"] if any(row.replicates > 1 for row in kept) else []
-    header = [
-        "rank",
-        *first.objectives,
-        *weighted,
-        *map("limited {}".format, first.constraints),
-        "wins",
-        "sets",
-        *seeds,
-        "robust",
-        "",
-        *first.parameters,
-    ]
+    limited = [f"limited {name}" if name in first.objectives else name for name in first.constraints]
+    header = ["rank", *first.objectives, *weighted, *limited, "wins", "sets", *seeds, "robust", "", *first.parameters]
     cells = [
         [
             row.rank,
