@@ -140,6 +140,18 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
     assert present(ended.search).ended_by == "budget"
 
 
+def test_individuals_run_under_all_seeds_of_a_round_also_where_one_of_them_is_stored(database: Database) -> None:
+    whole: dict[str, Any] = {"optimizer": POPULATIONS | {"population": 40}}
+    carried_out(database, budget={"simulations": 100}, replicates={"least": 1, "most": 10}, **whole)
+    again = carried_out(database, budget={"simulations": 90}, replicates={"least": 2, "most": 10}, **whole)
+    seeds: dict[int, set[int]] = {}
+    for row in rows_of(database, again):
+        if row.iteration == 0:
+            seeds.setdefault(row.individual, set()).add(row.seed)
+    assert again.cells.repeated > 0
+    assert set(map(len, seeds.values())) == {2}
+
+
 def test_equal_seeds_give_equal_campaigns_whatever_ran_before(database: Database, tmp_path: Path) -> None:
     asked: list[tuple[str, int, float, bool]] = []
 

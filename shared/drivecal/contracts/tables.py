@@ -428,8 +428,8 @@ class ValidationRow(Answer):
 
     `reducible` parameters have a region without influence; `covered` counts their `effects` (main effects and interactions) that the sets
     cover. A Latin hypercube of `drawn` sets yields the `bases` that qualify (n*_LHS); each is compared with `references` variants (n_ref).
-    Variants with |dF| above the scale's tolerance are `wrong`, with any change `different`; R_err = wrong / compared. `lower_95` and
-    `upper_95` limit the mean over bases of the share of wrong variants, with a confidence of at least 95 %. `histogram` counts variants by
+    Variants with |dF| above the scale's tolerance are `wrong`, with any change `different`; R_err is the mean over bases of the share of
+    wrong variants, and `lower_95` and `upper_95` limit it, with a confidence of at least 95 %. `histogram` counts variants by
     their difference from the base, in units of `histogram_step`; its ends hold all differences beyond the scale's span.
 
     For a campaign, `compared` of its `released` predictions were simulated. Errors `beyond` the tolerance (or runs without a result) have a

@@ -183,9 +183,9 @@ class PopulationSearch(ComputedSearch):
         if place:
             within = [cell for cell in planned if cell.individual in self._kept]
         wanted = {cell.individual for cell in within}
-        room /= len(seeds) - place
+        following = len(seeds) - place - 1  # stored results of this seed say nothing of the next ones
         for number, cell in enumerate(within):
-            room -= not cell.answered_at_once or enters_lot(cell, reduction.max_error)
+            room -= following + (not cell.answered_at_once or enters_lot(cell, reduction.max_error))
             if room < 0:
                 within = [each for each in within[:number] if each.individual != cell.individual]
                 break

@@ -120,6 +120,7 @@ class ValidationStage(StudyStage):
             "bases": 0 if pairs is None else len(pairs.bases),
             "references": self._references,
             **compared(known, scale),
+            "error_rate": None if shares is None else float(shares.mean()),  # as the interval: bases count alike
             "lower_95": lower,
             "upper_95": upper,
         }
