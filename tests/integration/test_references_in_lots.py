@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import influenced, lots_of, post_map, rows_of, run, submit
+from tests.support.runs import dispatcher, finish, influenced, lots_of, post_map, rows_of, run, submit
 
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
@@ -67,6 +67,22 @@ def test_equal_campaigns_have_references_in_common_unless_one_is_isolated(
     reused = [row.reference for row in rows_of(database, ended) if row.outcome is Outcome.REUSED]
     assert len(reused) > 50
     assert any(reference not in own for reference in reused) == counted
+    database.dispose()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [3, 8])
+def test_an_equal_campaign_beside_one_that_runs_simulates_nothing(tmp_path: Path, steps: int) -> None:
+    database = migrated(f"sqlite:///{tmp_path / '1.db'}")
+    first, working = ask(database, likeness="equal"), dispatcher(database, ComputedBackend(answer=nearly))
+    for _ in range(steps):
+        working.step()
+    second = ask(database, likeness="equal")
+    ended = [finish(database, each, working) for each in (first, second)]
+    rows = [
+        sorted((row.scenario, row.iteration, row.individual, row.score) for row in rows_of(database, each)) for each in ended
+    ]
+    assert (rows[0], ended[1].cells.runs) == (rows[1], 0)
     database.dispose()
 
 

@@ -25,7 +25,7 @@ MOST_EXACT = 16
 """Largest number of reducible parameters whose 2^n - 1 effects are all examined; for more, effects of up to three parameters are."""
 REDRAWN = 10
 """How often the changes of a variant are drawn again, if each of them breaks constraints."""
-HYPERCUBE, VARIANTS = 0, 1
+HYPERCUBE, VARIANTS, REGION = 0, 1, 2
 """Purposes of the stream."""
 
 
@@ -130,16 +130,19 @@ def design(
     Latin hypercubes of `samples`, 2 `samples`, 4 `samples` ... points are drawn until their qualifying sets cover all effects, at most
     `largest` points. If some effects stay uncovered, the coverage reports them. A large hypercube finds the few sets with several small
     regions among many others. So only the sets that the coverage needs are kept, and the first others up to `samples` in total. Each
-    variant changes a random non-empty subset of the values that can vary. With `constraints` the points are repaired, and variants change
-    as much as keeps them. A base without a feasible neighbour may have variants that break constraints; the caller must not run these.
+    variant changes a random non-empty subset of the values that can vary.
+
+    With `constraints` the points are the feasible ones of the hypercube, or, if these are few, a sample of the feasible part of the space.
+    Variants change as much as keeps the constraints. A base without a feasible neighbour may have variants that break them; the caller
+    must not run these.
     """
     reducible = space.reducible
     if not reducible.size:
         return None
     for size in _sizes(samples, largest):
         points = _latin_hypercube(space.n_values, size, generator("validation", seed, HYPERCUBE))
-        if constraints:
-            points = constraints.whole_region.repair(points)
+        if constraints and len(points := points[constraints.feasible(points)]) < samples:
+            points = constraints.whole_region.sample(size, generator("validation", seed, REGION))
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
         covered = coverage(masks)

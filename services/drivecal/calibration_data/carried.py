@@ -2,9 +2,9 @@
 
 import math
 import re
+from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape  # writes only
@@ -40,28 +40,31 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     mark = _BYTE_ORDER_MARK if held.startswith(_BYTE_ORDER_MARK) else b""
     body = held.removeprefix(mark)
     content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
-    said = {each.name: each.unit for each in files.read(held, file).characteristics}  # in the file's own encoding
-    known = {each.name: replace(each, unit=said[each.name]) for each in joined([content.characteristics])}
+    read = content.characteristics
+    if ending == "dcm":  # whose units have the file's own encoding
+        read = [replace(each, unit=own.unit) for each, own in zip(read, files.read(held, file).characteristics, strict=True)]
+    known = {each.name: each for each in joined([read])}
+    edits = [*_edits(known, replaced(known, chosen, file), ending, body), *_origins(known, chosen, ending, body, written)]
     pieces, end = [mark], 0
-    for begin, last, text in sorted(_edits(known, replaced(known, chosen, file), ending, body)):
+    for begin, last, text in sorted(edits):
         if ending == "dcm" and not text.isascii() and decoded(held, file).encode() != body:
             raise InvalidInputError(Problem(shown(file, 200), f"it is not UTF-8, as {shown(text)} would be", "save as UTF-8"))
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
-    edited, origin = b"".join([*pieces, body[end:]]), _ORIGIN[ending].search(written)
-    if origin is None:
-        return edited
-    lines, names = origin[0].replace(b"\r\n", b"\n"), {each.name for each in chosen}
+    return b"".join([*pieces, body[end:]])
 
-    def renewed(held: re.Match[bytes]) -> bytes:
-        """The new origin, if it belongs to an instance with a chosen value; an earlier set gave the others."""
-        line = edited.count(b"\n", 0, held.start()) + 1
-        owner = max((each for each in known.values() if each.line <= line), key=attrgetter("line"), default=None)
-        if ending == "cdfx" and (owner is None or owner.name not in names):
-            return held[0]
-        return lines.replace(b"\n", b"\r\n") if b"\r\n" in held[0] else lines
 
-    return _ORIGIN[ending].sub(renewed, edited)
+def _origins(
+    known: Mapping[str, Characteristic], chosen: Sequence[Characteristic], form: str, body: bytes, written: bytes
+) -> Iterator[_Edit]:
+    """Yields the new origin for each that drivecal wrote, in a CDFX only of instances with a chosen value: earlier sets gave others."""
+    origin, names = _ORIGIN[form].search(written), {each.name for each in chosen}
+    starts = sorted((each.places[0][0], name) for name, each in known.items() if each.places)
+    for held in _ORIGIN[form].finditer(body) if origin else ():
+        owner = bisect(starts, (held.start(), ""))
+        if origin and (form == "dcm" or (owner and starts[owner - 1][1] in names)):
+            lines = origin[0].replace(b"\r\n", b"\n").decode()
+            yield held.start(), held.end(), lines.replace("\n", "\r\n") if b"\r\n" in held[0] else lines
 
 
 def _edits(
@@ -74,7 +77,7 @@ def _edits(
         for was, given, places in pairs:
             for before, after, (begin, end) in zip(was, given, places, strict=False):
                 text = after if isinstance(after, str) else repr(after)
-                if body[begin:end].lstrip(b"+-").isdigit():
+                if not isinstance(after, str) and body[begin:end].lstrip(b"+-").isdigit():
                     text = text.removesuffix(".0")
                 if before != after:
                     yield begin, end, escape(text) if form == "cdfx" else quoted(text) if isinstance(after, str) else text
@@ -102,7 +105,7 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
                 message = f"{shown(file, 200)} has the number of a choice, and no text"
                 problem = Problem(shown(name), message, "give a base with the text (TEXT of a DCM, VT of a CDFX)")
             problems.append(old.fault or problem)
-        elif not {old.unit, new.unit} & units.WITHOUT and not units.same(old.unit, new.unit):
+        elif units.surely_differ(old.unit, new.unit):
             message = f"{shown(file, 200)} has it in {old.unit}, and the problem in {new.unit}"
             problems.append(Problem(shown(name), message, "give a base in the problem's units"))
         result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))

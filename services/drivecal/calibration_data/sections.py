@@ -52,7 +52,7 @@ def joined(files: Iterable[Sequence[Characteristic]]) -> list[Characteristic]:
             own = result.get(axis.shared) if axis.kind == "COM_AXIS" and not axis.points else None
             axes.append(replace(axis, points=own.values, unit=own.unit if axis.unit == "1" else axis.unit) if own else axis)
         result[name] = whole = replace(each, axes=tuple(axes))
-        if each.values and all(axis.points for axis in axes) and whole.given is None:
+        if each.values and all(axis.points for axis in axes) and whole.given is None and whole.fault is None:
             message = f"it has {len(each.values)} values, and {' x '.join(str(len(axis.points)) for axis in axes)} points"
             result[name] = replace(whole, fault=Problem(shown(name), message, "give files of one version"))
     return list(result.values())
@@ -75,9 +75,11 @@ def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
     if len(known.axes) != len(new.axes):
         message = f"it has {len(known.axes)} axes in a file, and {len(new.axes)} in another"
         new = replace(new, fault=Problem(shown(new.name), message, "give files of one version, or leave it out by --match"))
-    if not {known.unit, new.unit} & units.WITHOUT and not units.same(known.unit, new.unit):
+    if units.surely_differ(known.unit, new.unit):
         message = f"it is in {known.unit} in a file, and in {new.unit} in another"
-        new = replace(new, fault=Problem(shown(new.name), message, "give files in one unit, or leave it out by --match"))
+        new = replace(
+            new, fault=new.fault or Problem(shown(new.name), message, "give files in one unit, or leave it out by --match")
+        )
     axes = []
     for old, axis in zip(known.axes, new.axes, strict=False):
         points = axis.points if axis.points and (new.values or not old.points) else old.points

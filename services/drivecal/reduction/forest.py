@@ -92,10 +92,7 @@ class Forest(BaggedTrees):
         leaves = self._leaves_of(features)
         votes = self._shares(leaves)
         chosen, confidence = self._choose(votes)
-        least, above = (
-            self._classes[0],
-            self._classes - self._classes[0],
-        )  # of large scores alone the squares would lose the differences
+        above = self._classes - (least := self._classes[0])  # squares of large scores would lose their differences
         mean = votes @ above
         variance = np.maximum(votes @ above**2 - mean**2, 0.0)
         return Predictions(self._classes[chosen], self._leaf_ratings(leaves, chosen), confidence, mean + least, variance)

@@ -350,8 +350,12 @@ def carry_out(connection: Connection, sequence: int, action: Action) -> bool:
 
 
 def start(connection: Connection, sequence: int) -> StoredCampaign | None:
-    """Takes a queued campaign up: it is running, with its watermark. None if it is not queued any more."""
-    watermark = func.coalesce(campaigns.c.watermark, runs.largest_id(connection))
+    """Takes a queued campaign up: it is running, with its watermark. While another campaign searches the same, it has the watermark of that
+    one, so that both see the same stored results. None if it is not queued any more."""
+    here = select(campaigns.c.likeness).where(campaigns.c.sequence == sequence).scalar_subquery()
+    running = campaigns.c.started_at.is_not(None) & campaigns.c.ended_at.is_(None) & (campaigns.c.likeness == here)
+    beside = connection.scalar(select(campaigns.c.watermark).where(running).order_by(campaigns.c.sequence).limit(1))
+    watermark = func.coalesce(campaigns.c.watermark, beside, runs.largest_id(connection))
     started = {"state": CampaignState.RUNNING, "started_at": now(), "watermark": watermark}
     if not _change(connection, sequence, [CampaignState.QUEUED], **started):
         return None

@@ -10,6 +10,10 @@ _GROUP = re.compile(r"/\(([^()/]+)\)")
 LONGEST = 200
 """Characters of a unit that is read: files of others have any number of spaces."""
 WITHOUT = frozenset({"", "-", "1"})
+PLAIN = frozenset(
+    {"m", "km", "s", "ms", "min", "h", "kg", "t", "N", "kN", "deg", "K", "V", "A", "W", "kW", "Pa", "bar", "Hz", "mph"}
+)
+"""Symbols that all tools write alike."""
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
 
@@ -40,6 +44,12 @@ def same(unit: str, other: str) -> bool:
     if None in counted:
         return unit.translate(_CHARACTERS) == other.translate(_CHARACTERS)
     return counted[0] == counted[1]
+
+
+def surely_differ(unit: str, other: str) -> bool:
+    """Returns whether two texts are different units beyond doubt: `rpm` and `1/min` may be one, and a file may lack a unit."""
+    counted = [powers(each) or {} for each in (unit, other)]
+    return counted[0] != counted[1] and all(each and PLAIN.issuperset(each) for each in counted)
 
 
 def spellings(stated: str | None, base: Mapping[str, float] | None) -> tuple[str, ...]:

@@ -173,16 +173,24 @@ def test_a_base_keeps_the_form_of_whole_numbers_and_refuses_other_units(tmp_path
     assert carried(base, form, [speed]) == FORMS[form].write([replace(speed, value=10)])
     base.write_bytes(FORMS[form].write([replace(speed, unit="km/h²")]))
     assert faulty_fields(carried, base, form, [speed]) == ["v"]
+    other = [
+        Characteristic("turn", 7.0, "U/min"),
+        Characteristic("Größe", 1.0, "µm"),
+        Characteristic("mode", "2", choices=("2", "3.0")),
+    ]
+    base.write_bytes(FORMS[form].write(other))
+    chosen = [replace(other[0], value=8.0, unit="1/min"), replace(other[2], value="3.0")]
+    assert carried(base, form, chosen) == FORMS[form].write([replace(other[0], value=8.0), other[1], chosen[1]])
 
 
 def test_the_history_of_what_another_campaign_calibrated_stays(tmp_path: Path) -> None:
     base, later = tmp_path / "b.cdfx", replace(QUALITY, campaign="e" * 32)
     first, second = Characteristic("a", 1.0), Characteristic("b", 2.0)
-    base.write_bytes(cdfx.write([first, second], QUALITY))
-    made = carried(base, "cdfx", [replace(first, value=5.0)], cdfx.write([first], later))
-    both = cdfx.write([replace(first, value=5.0), second], later)
-    kept = both.rpartition(later.campaign.encode())
-    assert made == QUALITY.campaign.encode().join([kept[0], kept[2]])
+    for line in (b"\n", b""):
+        base.write_bytes(cdfx.write([first, second], QUALITY).replace(b"\n", line))
+        made = carried(base, "cdfx", [replace(first, value=5.0)], cdfx.write([first], later))
+        assert re.findall(rb"<CSPI>(.*?)</CSPI>", made) == [later.campaign.encode(), QUALITY.campaign.encode()]
+        assert re.findall(rb"<V>(.*?)</V>", made) == [b"5.0", b"2.0"]
 
 
 @pytest.mark.parametrize("form", FORMS)

@@ -258,7 +258,7 @@ class CellTracker:
     def _cell(self, pending: StoredEvaluation) -> Cell:
         share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
         twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.seed)
-        twice = twice and self.budget.take(beyond=self.budget.kept)
+        twice = twice and (pending.id in self._twice or self.budget.take(beyond=self.budget.kept))
         if twice:
             self._twice.add(pending.id)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
@@ -327,7 +327,7 @@ class CellTracker:
 
     def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
         if not (is_own or (self._view.isolated and outcome is Outcome.SIMULATED)):
-            self.budget.left += 1 + (cell.id in self._twice)
+            self.budget.left += 1 + (cell.id in self._twice and cell.id not in self._breakdowns)
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)

@@ -99,8 +99,7 @@ class PopulationSearch(ComputedSearch):
             return awaited
         if not self._has_learned:
             with self._view.reuse_time.counted(), self._database.transaction() as connection:
-                following = self._batches[0] if self._batches else []
-                self._planner.learn(connection, (self._next - 1, following[0]) if following else None)
+                self._planner.learn(connection, (self._next - 1, self._batches[0][0]) if any(self._batches) else None)
             self._has_learned = True
         iterations, each = self._optimization.iterations, max(1.0, self._changed)
         most = ENDLESS if iterations is None else iterations - self._next
