@@ -45,7 +45,7 @@ SCORES = CONFIRMED | {
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
     "map_wrong": "The influence map is wrong for {rates:shares} of the compared variants (validation {study:id}). {then}",
     "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario; "
-    "in any, at most {upper:.1 %} are (95 %); more `samples` of a validation tell it more closely.",
+    "in any, at most {upper:.1 %} are (95 %); more samples of a validation tell it more closely.",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",
     "audits_wrong": "{wrong:,} of {audited:,} audited answers in {scenario} were wrong{then}.",
     "contradictions": "Groups of sets that the influence map calls equal, with different simulated scores: {groups:counts}.",
