@@ -93,15 +93,14 @@ def main(identifier: str, folder: Path, url: str | None = None) -> None:
         campaign, ranked = client.campaign(identifier), client.solutions(identifier, limit=1000).items
         generations = list(client.rows(identifier, "generations"))
     counted = accumulate(row["simulated"] for row in generations)
-    points = [(simulations, row["best"]) for simulations, row in zip(counted, generations, strict=True)]
-    first = points[0][1]
-    written("random-course.svg", COURSE, 300, course(points, first, ranked[0]))
+    points = [(runs, row["best"]) for runs, row in zip(counted, generations, strict=True) if row["best"] is not None]
+    best, baseline = campaign.best, campaign.baseline
+    if best is None or baseline is None or baseline.objective is None:
+        raise SystemExit("the campaign has no best set, or no baseline")
+    written("random-course.svg", COURSE, 300, course(points, baseline.objective, ranked[0]))
     written("random-seeds.svg", SEEDS, 88 + 18 * SHOWN, seeds(ranked[:SHOWN]))
     problem = yaml.safe_load((folder / "problem.yaml").read_text())
     evaluate = run_path(str(folder / "model.py"))["evaluate"]
-    best = campaign.best
-    if best is None:
-        raise SystemExit("the campaign has no best set")
     costs = []
     for seed in OTHER_SEEDS:
         runs = [evaluate(best.parameters, {**scenario, "seed": seed}) for scenario in problem["scenarios"].values()]

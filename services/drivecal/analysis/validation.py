@@ -132,7 +132,7 @@ def design(
     regions among many others. So only the sets that the coverage needs are kept, and the first others up to `samples` in total. Each
     variant changes a random non-empty subset of the values that can vary.
 
-    With `constraints` the points are the feasible ones of the hypercube, or, if these are few, a sample of the feasible part of the space.
+    With `constraints` the points are the feasible ones of the hypercube, or, if these are less than half, a sample of the feasible part.
     Variants change as much as keeps the constraints. A base without a feasible neighbour may have variants that break them; the caller
     must not run these.
     """
@@ -141,12 +141,12 @@ def design(
         return None
     for size in _sizes(samples, largest):
         points = _latin_hypercube(space.n_values, size, generator("validation", seed, HYPERCUBE))
-        if constraints and len(points := points[constraints.feasible(points)]) < samples:
-            points = constraints.whole_region.sample(size, generator("validation", seed, REGION))
+        if constraints and 2 * len(points := points[constraints.feasible(points)]) < size:
+            points = constraints.whole_region.sample(size := min(size, 10 * samples), generator("validation", seed, REGION))
         varies = space.variable(points)
         qualified, masks = points[varies.any(axis=1)], varies[varies.any(axis=1)][:, reducible]
         covered = coverage(masks)
-        if covered.complete:
+        if covered.complete or len(points) == 10 * samples:
             break
     if not len(qualified):
         return None

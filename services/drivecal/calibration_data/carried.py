@@ -3,7 +3,7 @@
 import math
 import re
 from bisect import bisect
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,9 +42,11 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
     read = content.characteristics
     if ending == "dcm":  # whose units have the file's own encoding
-        read = [replace(each, unit=own.unit) for each, own in zip(read, files.read(held, file).characteristics, strict=True)]
+        read = [replace(each, unit=own.unit) for each, own in zip(read, dcm.read(body, file).characteristics, strict=True)]
     known = {each.name: each for each in joined([read])}
-    edits = [*_edits(known, replaced(known, chosen, file), ending, body), *_origins(known, chosen, ending, body, written)]
+    changed = replaced(known, chosen, file)
+    names = {each.name for each in chosen} | {name for name, each in known.items() if changed[name] != each}
+    edits = [*_edits(known, changed, ending, body), *_origins(known, names, ending, body, written)]
     pieces, end = [mark], 0
     for begin, last, text in sorted(edits):
         if ending == "dcm" and not text.isascii() and decoded(held, file).encode() != body:
@@ -55,10 +57,10 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
 
 
 def _origins(
-    known: Mapping[str, Characteristic], chosen: Sequence[Characteristic], form: str, body: bytes, written: bytes
+    known: Mapping[str, Characteristic], names: Collection[str], form: str, body: bytes, written: bytes
 ) -> Iterator[_Edit]:
-    """Yields the new origin for each that drivecal wrote, in a CDFX only of instances with a chosen value: earlier sets gave others."""
-    origin, names = _ORIGIN[form].search(written), {each.name for each in chosen}
+    """Yields the new origin for each that drivecal wrote, in a CDFX only of the instances `names`: earlier sets gave the others."""
+    origin = _ORIGIN[form].search(written)
     starts = sorted((each.places[0][0], name) for name, each in known.items() if each.places)
     for held in _ORIGIN[form].finditer(body) if origin else ():
         owner = bisect(starts, (held.start(), ""))

@@ -194,8 +194,8 @@ def _characteristic(node: Element, name: str, file: str) -> Characteristic | Non
     sizes = [len(rows[0]), len(rows)] if kind == "MAP" or len(rows) > 1 else [len(rows[0])]
     sizes = extents(sizes) if kind == "VAL_BLK" else sizes
     described = [axis for holder in holders for axis in holder.findall("SW-AXIS-CONTS/SW-AXIS-CONT")]
-    described.sort(key=lambda axis: _words(axis, "SW-AXIS-INDEX"))  # x is 1; files may list y first
-    axes = [_axis(*pair, file) for pair in zip(described, sizes, strict=False)]
+    ordered = sorted(enumerate(described, 1), key=lambda pair: _words(pair[1], "SW-AXIS-INDEX") or str(pair[0]))  # x is 1
+    axes = [_axis(axis, size, file) for (_, axis), size in zip(ordered, sizes, strict=False)]
     axes = axes if kind in {"CURVE", "MAP"} else list(map(index, sizes))
     if len(described) > len(axes) or len(axes) != len(sizes) or not all(axis.kind in _AXES for axis in axes):
         return None

@@ -10,10 +10,8 @@ _GROUP = re.compile(r"/\(([^()/]+)\)")
 LONGEST = 200
 """Characters of a unit that is read: files of others have any number of spaces."""
 WITHOUT = frozenset({"", "-", "1"})
-PLAIN = frozenset(
-    {"m", "km", "s", "ms", "min", "h", "kg", "t", "N", "kN", "deg", "K", "V", "A", "W", "kW", "Pa", "bar", "Hz", "mph"}
-)
-"""Symbols that all tools write alike."""
+PLAIN = frozenset({"m", "km", "s", "min", "h", "kg", "t", "kN", "deg", "K", "A", "kW", "bar", "mph"})
+"""Symbols that all tools write alike, and none the product of others."""
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
 

@@ -427,9 +427,9 @@ class ValidationRow(Answer):
     """A scenario of the validation (Tables 1 and 2 and Figure 14 of the paper).
 
     `reducible` parameters have a region without influence; `covered` counts their `effects` (main effects and interactions) that the sets
-    cover. A Latin hypercube of `drawn` sets yields the `bases` that qualify (n*_LHS); each is compared with `references` variants (n_ref).
-    Variants with |dF| above the scale's tolerance are `wrong`, with any change `different`; R_err is the mean over bases of the share of
-    wrong variants, and `lower_95` and `upper_95` limit it, with a confidence of at least 95 %. `histogram` counts variants by
+    cover. Of `drawn` sets (a Latin hypercube, or feasible sets) `bases` qualify (n*_LHS); each is compared with `references` variants
+    (n_ref). Variants with |dF| above the scale's tolerance are `wrong`, with any change `different`; R_err is the mean over bases of the
+    share of wrong variants, and `lower_95` and `upper_95` limit it, with a confidence of at least 95 %. `histogram` counts variants by
     their difference from the base, in units of `histogram_step`; its ends hold all differences beyond the scale's span.
 
     For a campaign, `compared` of its `released` predictions were simulated. Errors `beyond` the tolerance (or runs without a result) have a

@@ -179,7 +179,7 @@ def test_a_base_keeps_the_form_of_whole_numbers_and_refuses_other_units(tmp_path
         Characteristic("mode", "2", choices=("2", "3.0")),
     ]
     base.write_bytes(FORMS[form].write(other))
-    chosen = [replace(other[0], value=8.0, unit="1/min"), replace(other[2], value="3.0")]
+    chosen = [replace(other[0], value=8.0, unit="1/s"), replace(other[2], value="3.0")]
     assert carried(base, form, chosen) == FORMS[form].write([replace(other[0], value=8.0), other[1], chosen[1]])
 
 

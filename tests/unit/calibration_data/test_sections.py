@@ -149,7 +149,7 @@ def test_what_an_a2l_lacks_is_taken_from_another_file_or_named() -> None:
     three = Characteristic("group", kind="MAP", axes=(com, replace(std, points=(5.0, 6.0))), values=(1.0, 2.0))
     for first, other in (
         (described[0], Characteristic("own", 1.0)),
-        (described[2], replace(held[2], unit="ms")),
+        (described[2], replace(held[2], unit="min")),
         (held[3], three),
     ):
         assert faulty_fields(sections_of, joined([[first], [other]]), {}, 0.5)[:1] == [other.name]
