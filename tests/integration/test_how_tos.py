@@ -31,7 +31,7 @@ ELSEWHERE = {
     "machines.md ": "tests/compose, but for Docker Swarm",
     "plug-ins.md ": "tests/compose, test_example_packages.py",
     "second-cluster.md ": "tests/compose",
-    "sensitivity.md ": "test_influence_cli.py: the printed analysis takes 18,822 runs",
+    "sensitivity.md ": "test_influence_cli.py: the printed analysis takes 18,730 cells",
     "studies.md ": "test_studies_cli.py, with smaller studies",
     "tokens.md ": "test_api_tokens.py, test_serve.py",
     "upgrade.md ": "test_database_cli.py, tests/compose; no release to upgrade from",

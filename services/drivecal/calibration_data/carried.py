@@ -61,11 +61,13 @@ def _origins(
 ) -> Iterator[_Edit]:
     """Yields the new origin for each that drivecal wrote, in a CDFX only of the instances `names`: earlier sets gave the others."""
     origin = _ORIGIN[form].search(written)
+    if origin is None:
+        return
+    lines = origin[0].replace(b"\r\n", b"\n").decode()
     starts = sorted((each.places[0][0], name) for name, each in known.items() if each.places)
-    for held in _ORIGIN[form].finditer(body) if origin else ():
+    for held in _ORIGIN[form].finditer(body):
         owner = bisect(starts, (held.start(), ""))
-        if origin and (form == "dcm" or (owner and starts[owner - 1][1] in names)):
-            lines = origin[0].replace(b"\r\n", b"\n").decode()
+        if form == "dcm" or (owner and starts[owner - 1][1] in names):
             yield held.start(), held.end(), lines.replace("\n", "\r\n") if b"\r\n" in held[0] else lines
 
 

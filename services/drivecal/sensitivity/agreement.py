@@ -83,8 +83,7 @@ def _by_pair(rows: Iterable[InfluenceRow]) -> dict[Pair, InfluenceRow]:
 
 def agree(first: InfluenceRow, second: InfluenceRow, analysed: tuple[InfluenceRow, InfluenceRow]) -> bool:
     """Returns whether two maps agree on one pair. Bounds may differ by one interval of the coarser analysis, plus half a grid step for the
-    rounding of an interval's edge. Without an analysis behind either map, they must be equal. `analysed` has both rows in the maps' own
-    spaces."""
+    rounding of an interval's edge. Without an analysis behind either map, they must be equal. `analysed`: both rows in the maps' spaces."""
     if not (first.influential and second.influential):
         return first.influential == second.influential
     allowed = max(map(_interval, analysed)) + ROUNDING * max(map(_range, analysed))

@@ -153,10 +153,8 @@ class LotPlanner:
         self._parts = []
         following = None if still_asked is None else batch_of(StageName.CALIBRATION, *still_asked, self._slice)
         for scenario, listed in by_scenario.items():
-            for place, batch in groupby(
-                listed, lambda each: batch_of(each.stage, each.iteration, each.individual, self._slice)
-            ):
-                if place == following:
+            for at, batch in groupby(listed, lambda each: batch_of(each.stage, each.iteration, each.individual, self._slice)):
+                if at == following:
                     self._parts += batch
                 else:
                     self._take(self._learners[scenario], list(batch))
