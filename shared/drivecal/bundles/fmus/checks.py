@@ -68,13 +68,14 @@ def output_problems(variables: Variables, used: Iterable[tuple[str, str, str, bo
 
 
 def value_problems(variables: Variables, values: Iterable[tuple[str, str, object]]) -> Iterator[Problem]:
-    """Yields values that do not fit the types of the FMU's variables: integers of any other size would wrap.
+    """Yields values that the FMU's variables do not take: integers of any other size would wrap, what is computed is not set.
 
     `values`: the field of each, the variable's name and the value.
     """
     for field, name, value in values:
         if name in variables and (wanted := wanted_by(variables[name], value)) is not None:
-            yield Problem(field, f"{shown(value)} does not fit: {shown(name)} is of type {variables[name].kind}", wanted)
+            what = "computed by the FMU" if variables[name].is_computed else f"of type {variables[name].kind}"
+            yield Problem(field, f"{shown(value)} does not fit: {shown(name)} is {what}", wanted)
 
 
 def unit_notes(variables: Variables, parameters: Mapping[str, str]) -> Iterator[str]:

@@ -30,7 +30,7 @@ class FmuVariable:
     """A variable of an FMU. `start` is None if the FMU does not give a number.
 
     `kind`: its type, as the FMU's version of FMI calls it; `items`: names of an enumeration's values. `unit`: as stated by the variable or
-    its type, 1 if by none; `spellings`: ways to write it, none if it says nothing.
+    its type, 1 if by none; `spellings`: ways to write it, none if it says nothing. `is_computed`: it takes no start value.
     """
 
     name: str
@@ -41,11 +41,12 @@ class FmuVariable:
     items: tuple[str, ...] = ()
     spellings: tuple[str, ...] = ()
     is_array: bool = False
+    is_computed: bool = False
 
     @property
     def is_settable(self) -> bool:
         """True if a constant can give it: arrays, binary values and clocks have no place in a manifest."""
-        return not self.is_array and self.kind in NUMBERS | _WHOLE | {"String"}
+        return not self.is_array and not self.is_computed and self.kind in NUMBERS | _WHOLE | {"String"}
 
 
 Variables = Mapping[str, FmuVariable]
@@ -162,17 +163,23 @@ class _Reader:
         self, kind: str, attributes: Mapping[str, str], items: Mapping[str, tuple[str, ...]], *, is_array: bool
     ) -> FmuVariable:
         """`items`: names of the values of each enumeration."""
-        declared = attributes.get("declaredType", "")
+        declared, causality = attributes.get("declaredType", ""), attributes.get("causality", "local")
         unit = attributes.get("unit") or self._type_units.get(declared) or "1"
+        is_result = (
+            causality in {"local", "output"} and "start" not in attributes and kind != "String"
+        )  # FMI 3 has texts elsewhere
         return FmuVariable(
             attributes.get("name", ""),
-            attributes.get("causality", "local"),
+            causality,
             number(attributes.get("start")),
             unit,
             kind=kind,
             items=items.get(declared, ()) if kind == "Enumeration" else (),
             spellings=units.spellings(unit, self._base_units.get(unit)),
             is_array=is_array,
+            is_computed=is_result
+            or attributes.get("variability") == "constant"
+            or causality in {"calculatedParameter", "independent"},
         )
 
 

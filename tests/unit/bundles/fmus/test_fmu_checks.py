@@ -195,6 +195,19 @@ def test_start_values_that_their_variable_cannot_hold_are_refused(description: s
     assert notes(PROBLEM | {"simulator": SYSTEM, "scenarios": {"S": {"n": 100, "mode": "eco"}}}, description) == ()
 
 
+@both
+@pytest.mark.parametrize(
+    ("variability", "start", "is_taken"), [("fixed", "", False), ("fixed", "1", True), ("constant", "1", False)]
+)
+def test_a_parameter_that_the_fmu_computes_is_refused(description: str, variability: str, start: str, is_taken: bool) -> None:
+    value = f' start="{start}"' * bool(start)
+    second, third = (f'<{tag} name="x" valueReference="11"' for tag in ("ScalarVariable", "Float64"))
+    named = description.replace(f"{second}><Real/>", f'{second} variability="{variability}"><Real{value}/>')
+    named = named.replace(f"{third}/>", f'{third} variability="{variability}"{value}/>')
+    given = PROBLEM | {"simulator": SYSTEM, "parameters": {"x": {"lower": 0, "upper": 1}}}
+    assert notes(given, named) == () if is_taken else "parameters.x.lower" in faults(given, named)
+
+
 @pytest.mark.parametrize("value", [1e301, float("inf"), "", "a" * 256, "two\nlines"])
 def test_constants_beyond_all_types_are_refused(value: Any) -> None:
     assert all("acc_enable" in entry.field for entry in faults_of(checked, problem(constants={"acc_enable": value})))
