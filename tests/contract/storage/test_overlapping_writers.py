@@ -25,6 +25,8 @@ from drivecal.storage import campaigns, events, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import deletion
+from drivecal.storage.outside import sets as outside_sets
+from drivecal.storage.outside.sets import OutsideSet
 
 pytestmark = pytest.mark.slow
 
@@ -185,3 +187,20 @@ def test_a_trace_of_a_removed_cell_is_refused(postgres: Database, first: StoredC
         left = {row.id for row in results.stream(connection, first.sequence)}
         assert connection.scalar(text("SELECT count(*) FROM traces")) == 0
     assert left.isdisjoint(copied)
+
+
+def test_a_set_is_cancelled_while_a_round_is_stored(postgres: Database, beside: ThreadPoolExecutor) -> None:
+    campaign = submit(postgres, **SHORT | {"sensitivity": None, "optimizer": {"kind": "external"}})
+    with postgres.transaction() as connection:
+        outside_sets.add(connection, campaign, [OutsideSet("a", [0] * len(SHORT["parameters"]))])
+
+    def cancel() -> tuple[int, bool]:
+        with postgres.transaction() as connection:
+            return outside_sets.cancel(connection, campaign.id, "a")
+
+    with postgres.transaction() as connection:
+        assert outside_sets.hold(connection, campaign.sequence, [1]) == 1
+        second = beside.submit(cancel)
+        settle(postgres, second)
+        campaigns.save_progress(connection, campaign, {})
+    assert second.result(PATIENCE) == (1, True)

@@ -34,8 +34,9 @@ from drivecal.storage.references import parameter_sets, reference_keys, runs
 pytestmark = pytest.mark.slow
 
 ROWS = 4_000
-SMALL = {"reference_indexes", "leases", "processes", "traces", "lots"}
-"""One row per map, setup and evaluator, one per cell at a worker, some traces, and no lot: PostgreSQL rightly reads all of them."""
+SMALL = {"metric_names", "reference_indexes", "leases", "processes", "traces", "lots"}
+"""One row per list of measures, per map, setup and evaluator, one per cell at a worker, some traces, and no lot: PostgreSQL rightly reads
+all of them."""
 KEYS = [number.to_bytes(16, "big") for number in range(LARGEST_IN)]
 
 
@@ -138,6 +139,11 @@ LOOK_UPS: dict[str, tuple[Callable[[Connection], Any], str]] = {
     "shared reference keys": (
         lambda connection: reference_keys.look_up(connection, 1, 1, KEYS[: some(connection)], EVALUATOR, 10**6),
         "pk_reference_keys|SEARCH reference_keys USING PRIMARY KEY",
+    ),
+    "last runs of a setup": (lambda connection: runs.rated(connection, 1, EVALUATOR, 10**6, 20), "ix_runs_origin"),
+    "measures of runs": (
+        lambda connection: runs.values_of(connection, range(1, some(connection))),
+        "pk_runs|SEARCH runs USING INTEGER PRIMARY KEY",
     ),
     "shared parameter sets": (
         lambda connection: runs.look_up_exact(connection, 1, list(range(1, some(connection))), EVALUATOR, 10**6),

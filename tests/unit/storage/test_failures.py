@@ -35,10 +35,10 @@ def wrapped(error: Exception) -> DBAPIError:
         (psycopg.errors.LockNotAvailable("no"), UnavailableError, "another transaction holds"),
         (psycopg.errors.QueryCanceled("no"), UnavailableError, "took longer than a statement may"),
         (psycopg.errors.AdminShutdown("bye"), UnavailableError, "does not answer: bye"),
-        (psycopg.errors.DeadlockDetected("deadlock"), UnavailableError, "does not answer: deadlock"),
         (psycopg.errors.ReadOnlySqlTransaction("read-only"), UnavailableError, "ended the transaction: read-only"),
         (psycopg.errors.IdleInTransactionSessionTimeout("idle"), UnavailableError, "ended the transaction: idle"),
         (psycopg.errors.TransactionTimeout("long"), UnavailableError, "ended the transaction: long"),
+        (psycopg.errors.DeadlockDetected("dead"), UnavailableError, "ended the transaction: dead"),
         (psycopg.OperationalError(), UnavailableError, "does not answer: OperationalError"),
     ],
 )

@@ -56,6 +56,7 @@ def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependen
 
 
 @router.get("/setup")
+@computed
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
     return setup_of(ranking_of(database, campaign_id))

@@ -5,7 +5,7 @@ import uuid
 from fastapi import APIRouter, Response
 
 from drivecal.api import expectation, submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery
 from drivecal.api.responses import ROOT
@@ -38,6 +38,7 @@ def submit(
 
 
 @router.get("/{tag}")
+@computed
 def compare(tag: str, database: DatabaseDependency) -> Comparison:
     """Compares the campaigns with a tag, as far as they are: by optimizer, population size and reduction. Campaigns of one
     problem can be compared: give them a common tag."""

@@ -22,7 +22,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.campaigns.cells import earlier
-from drivecal.campaigns.cells.planning import View, ensure_setups
+from drivecal.campaigns.cells.planning import View
 from drivecal.contracts.campaign import Released
 from drivecal.contracts.specification import ReductionSpecification
 from drivecal.domain.campaigns import StageName
@@ -46,7 +46,7 @@ from drivecal.reduction.prediction import (
 from drivecal.storage import evaluations, lots
 from drivecal.storage.engine.types import ORDER
 from drivecal.storage.lots import KnownAnswer, LotVerdict, NewLot, StoredLot
-from drivecal.storage.references import parameter_sets, runs
+from drivecal.storage.references import parameter_sets, runs, setups
 
 SMALLEST_SLICE, LARGEST_SLICE, SLICES = FEWEST_KNOWN, 250, 4
 """Fewest and most sets, and wanted number of slices, of a start population that is learned from slice by slice. After a smaller slice too
@@ -135,10 +135,9 @@ class LotPlanner:
         for scenario, (cells, microseconds) in occupied.items():
             before = self._occupied.get(scenario, (0, 0))
             self._occupied[scenario] = before[0] + cells, before[1] + microseconds
-        setups = ensure_setups(connection, self._view.bench)
+        fingerprints = sorted(self._view.bench.fingerprints)
         if self._newest is None:
             self._newest = 0
-            fingerprints = [setup.fingerprint for setup in self._view.bench.setups.values()]
             self._recent_seconds = (runs.recent_milliseconds(connection, fingerprints) or 0.0) / 1000
             for scenario, learner in self._learners.items():
                 view = self._view
@@ -146,7 +145,8 @@ class LotPlanner:
                 known = [run for run in rated if self._features.holds(run.parameters)]
                 if known:
                     self._learn(learner, known)
-        answers, self._newest = lots.known_answers(connection, self._view.campaign, list(setups.values()), self._newest)
+        setup_ids = setups.ids(connection, fingerprints).values()
+        answers, self._newest = lots.known_answers(connection, self._view.campaign, setup_ids, self._newest)
         by_scenario: dict[str, list[KnownAnswer]] = defaultdict(list)
         for answer in (*self._parts, *answers):
             by_scenario[answer.scenario].append(answer)

@@ -206,7 +206,7 @@ def _known(
     """Returns the stored answers of sets in the space, by replicate, scenario, and in the order of references. An answer is the mean over
     the seeds of a replicate, if all are stored."""
     answers, least = list[CellAnswer](), problem.least_replicates
-    with database.transaction() as connection:
+    with database.read() as connection:
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
         for replicate in range(1, replicates + 1):
             before, seeds = len(answers), range(1 + (replicate - 1) * least, 1 + replicate * least)
@@ -229,15 +229,15 @@ def _stored(
 ) -> Iterator[tuple[tuple[int, ...], CellScore]]:
     """Yields the stored runs of a bench in a scenario, with the grid indices of their sets."""
     stored = earlier.rated(connection, bench, view.earlier, scenario, watermark, MOST_KNOWN)
-    measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.evaluation for run in stored])
+    measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.id for run in stored])
     for run in stored:
         indices = place_in(problem.space, run.parameters)
         if indices is None:
             continue
         values = {SCORE: run.score}
         if measured:
-            values |= problem.goals.values(*measured[run.evaluation], run.parameters)
-        failed = bool(measured) and measured[run.evaluation][1] is not None
+            values |= problem.goals.values(*measured[run.id], run.parameters)
+        failed = bool(measured) and measured[run.id][1] is not None
         yield (
             indices,
             CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values),

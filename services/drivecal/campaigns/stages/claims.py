@@ -74,9 +74,9 @@ def compare(
         for version in versions:
             stored = answers_of(connection, bench, [version], own, view.watermark)
             made = [*stored.values(), *(own[cell] for cell in stored)]
-            values = runs.values_of(connection, {run.evaluation for run in made})
+            values = runs.values_of(connection, {run.run for run in made})
             for cell, other in stored.items():
-                difference = _difference(bench, *((run.score, *values[run.evaluation]) for run in (own[cell], other)))
+                difference = _difference(bench, *((run.score, *values[run.run]) for run in (own[cell], other)))
                 if difference is not None:
                     maker = campaigns.by_sequence(connection, results.by_id(connection, other.evaluation).campaign_sequence)
                     made_by = f"evaluation {other.evaluation} of {maker.id}"

@@ -98,7 +98,7 @@ class PopulationSearch(ComputedSearch):
         if awaited is not None or self._planner is None or not self._resumed or self._search.ended_by is not None:
             return awaited
         if not self._has_learned:
-            with self._view.reuse_time.counted(), self._database.transaction() as connection:
+            with self._view.reuse_time.counted(), self._database.read() as connection:
                 self._planner.learn(connection, (self._next - 1, self._batches[0][0]) if any(self._batches) else None)
             self._has_learned = True
         iterations, each = self._optimization.iterations, max(1.0, self._changed)
@@ -201,7 +201,7 @@ class PopulationSearch(ComputedSearch):
         dismissed = self._ranking.dismissed()
         if self._planner is None or not dismissed:
             return []
-        with self._view.reuse_time.counted(), self._database.transaction() as connection:
+        with self._view.reuse_time.counted(), self._database.read() as connection:
             return self._planner.worth_a_look(connection, dismissed, *self._surest())[: limit // 4]
 
     def _snapshot(self, connection: Connection) -> StoredCampaign:

@@ -24,8 +24,10 @@ _NOT_NOW = (
     psycopg.errors.ReadOnlySqlTransaction,  # a server that takes over, or gives up, is read-only for a while
     psycopg.errors.IdleInTransactionSessionTimeout,
     psycopg.errors.TransactionTimeout,
+    psycopg.errors.DeadlockDetected,
+    psycopg.errors.DiskFull,
 )
-"""Errors of PostgreSQL's class 25 that waiting mends; the driver calls all of that class internal errors."""
+"""Errors of a PostgreSQL that answers, and that waiting mends."""
 
 
 @contextmanager

@@ -168,6 +168,7 @@ runs = Table(  # the reference table of the paper: simulated results, each (setu
     Column("wall_milliseconds", Float),
     UniqueConstraint("setup_id", "parameter_set_id"),
     Index(None, "setup_id", "id"),
+    Index("ix_runs_origin", "setup_id", "campaign_sequence", "stage", "iteration", "individual", "id"),
     sqlite_autoincrement=True,
 )
 

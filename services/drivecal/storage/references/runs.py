@@ -133,9 +133,9 @@ def look_up_exact(
 
 @dataclass(frozen=True, slots=True)
 class RatedRun:
-    """A stored run with the `evaluation` that simulated it."""
+    """A stored run."""
 
-    evaluation: int
+    id: int
     parameters: ParameterSet
     score: float
     rating: float
@@ -170,21 +170,22 @@ def in_order_of_keys(
 
 
 def rated_by(evaluator: str, setup_id: int, watermark: int, *columns: ColumnElement[Any]) -> Select[Any]:
-    """Selects columns of a setup's runs that an evaluator rated, and of their ratings, both up to a watermark."""
+    """Selects columns of a setup's runs that an evaluator rated, and of their ratings, both up to a watermark. A planner that saw the ids
+    would read by them, all of a setup, and sort."""
     joined = select(*columns).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
-    return joined.where(runs.c.setup_id == setup_id, runs.c.id <= watermark, ratings.c.since <= watermark)
+    return joined.where(runs.c.setup_id == setup_id, runs.c.id + 0 <= watermark, ratings.c.since <= watermark)
 
 
-_RATED = runs.c.evaluation_id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating
+_RATED = runs.c.id, parameter_sets.c.parameter_values, ratings.c.score, ratings.c.rating
 """The columns of `RatedRun`."""
 ORIGIN = runs.c.campaign_sequence, type_coerce(runs.c.stage, SmallInteger), runs.c.iteration, runs.c.individual
 """The columns that order references. Stages have their numbers here: they are ordered as they run, not by name."""
 
 
-def values_of(connection: Connection, evaluation_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:
-    """Returns metrics and failure of the runs that evaluations made, by the id of the evaluation."""
-    query = select(runs.c.evaluation_id, runs.c.metrics, runs.c.failure)
-    rows, read = rows_among(connection, query, runs.c.evaluation_id, sorted(evaluation_ids)), metrics_reader(connection)
+def values_of(connection: Connection, run_ids: Collection[int]) -> dict[int, tuple[dict[str, float | None], str | None]]:
+    """Returns metrics and failure of runs by id."""
+    query = select(runs.c.id, runs.c.metrics, runs.c.failure)
+    rows, read = rows_among(connection, query, runs.c.id, sorted(run_ids)), metrics_reader(connection)
     return {number: (read(stored), failure) for number, stored, failure in rows}
 
 
