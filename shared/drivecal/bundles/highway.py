@@ -306,8 +306,8 @@ class TrafficVehicle(Model):
     """Pairs of time (s), which does not fall, and offset (m, to the left of the lane's centre), linear between."""
     sigma: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Imperfection of SUMO's model of Krauss, which drives the vehicle then: it falls below its speed at random moments."""
-    speed_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Standard deviation of `speed` and `desired_speed`, as a share of them."""
+    speed_deviation: Annotated[float, Field(ge=0, lt=0.5)] = 0.0
+    """Standard deviation of `speed` and `desired_speed`, as a share of them; two of them are the most."""
     departure_deviation: Annotated[float, Field(ge=0, le=1)] = 0.0
     """Standard deviation (s) of the time at which it passes its start."""
 

@@ -91,12 +91,14 @@ def test_a_fault_leaves_no_temporary_files_to_the_next_run(tmp_path: Path) -> No
             assert "exit code 4" in lost(session, {"x": 1}, Breakdown.CRASH)
 
 
-def test_each_run_starts_in_an_empty_folder_with_links_to_the_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_run_starts_in_empty_folders_with_links_to_the_bundle(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(GRANTED, str(tmp_path))
     bundle = tmp_path / "bundle"
     bundle.mkdir()
     (bundle / "mesh").write_text("")
-    write(bundle, f"[ -e mesh ] || exit 1\n[ ! -e left ] || exit 2\nmkdir left\nrm mesh\necho . >> {tmp_path / 'count'}")
+    left = 'left "$TMPDIR/left" "$(dirname "$1")/left"'
+    body = f"[ -e mesh ] || exit 1\nfor each in {left}; do [ ! -e $each ] || exit 2; mkdir $each; done\nrm mesh\n"
+    write(bundle, f"{body}echo . >> {tmp_path / 'count'}")
     with opened("command", bundle, command=COMMAND) as session:
         for _ in range(3):
             session.evaluate({"x": 2})

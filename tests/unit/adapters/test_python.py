@@ -27,6 +27,16 @@ def test_a_function_gets_parameters_and_scenario(tmp_path: Path) -> None:
         assert session.evaluate({"x": 3.0}).measures == {"y": 9.0}
 
 
+def test_sets_have_one_order_in_every_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path, "return {'y': hash('text') % 1_000_000}")
+    measured = set()
+    for secret in ("5", "random"):
+        monkeypatch.setenv("PYTHONHASHSEED", secret)
+        with opened("python", tmp_path, file="model.py") as session:
+            measured.add(session.evaluate({"x": 2.0}).measures["y"])
+    assert len(measured) == 1
+
+
 def test_the_scenario_of_a_random_function_has_the_seed(tmp_path: Path) -> None:
     write(tmp_path, "return {'y': x + 10 * scenario.get('seed', 0)}")
     for is_random, measured in ((True, [12.0, 42.0]), (False, [2.0, 2.0])):

@@ -126,8 +126,8 @@ class Children:
             ended = -int(signal.SIGKILL)
         else:
             ended = self.ended()
-        if self._overflows:
-            self._scratch.empty()
+        if self._overflows and not self._scratch.is_spoilt:
+            self._scratch.clear(wholly=True)
             self._overflows = False
         return ended
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from drivecal.adapters import answers
 from drivecal.adapters.children import Children, check_command
-from drivecal.adapters.environment import Scratch, discard
+from drivecal.adapters.environment import Scratch
 from drivecal.adapters.pipes import LONGEST_LINE, Pipes
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -25,8 +25,8 @@ LONGEST_ANSWER, MOST_DIGESTS = 4000, 40_000
 """Largest answer of a probe, and of all digests, in characters."""
 LEAST_MEMORY_MB = 500
 """Memory of the child that makes digests."""
-DRIVER = (sys.executable, "-I", "-B", "-m")
-"""Start of a driver's command: no environment variables or user packages, no bytecode in the bundle's folder."""
+DRIVER = (sys.executable, "-P", "-s", "-B", "-m")
+"""Start of a driver's command: no modules of the working directory, no user packages, no bytecode in the bundle's folder."""
 
 
 def run_probe(section: Mapping[str, Any], folder: Path) -> str:
@@ -76,7 +76,7 @@ def _answer(children: Children, longest: int) -> str:
 
 
 class CommandSession:
-    """A command that runs once for each parameter set, in an empty working directory with links to the bundle's files."""
+    """A command that runs once for each parameter set, in a folder without anything of other runs, with links to the bundle's files."""
 
     def __init__(self, section: Mapping[str, Any], scratch: Scratch, declared: Declared, *, data: Mapping[str, Any]) -> None:
         """Writes the scenario's file."""
@@ -99,9 +99,7 @@ class CommandSession:
         self._scratch.remove()
 
     def _evaluate(self, parameters: Mapping[str, Argument], *, series: bool) -> RunOutcome:
-        self._scratch.renew()
-        for path in self._files.values():
-            discard(path)
+        self._scratch.clear(wholly=True)
         self._files["parameters"].write_text(json.dumps(dict(parameters), allow_nan=False))
         self._files["scenario"].write_text(self._scenario)
         try:
@@ -110,11 +108,6 @@ class CommandSession:
             raise NoMeasuresError(Breakdown.ERROR, str(error)) from None
         try:
             pipes.wait(self._timeout)
-        except NoMeasuresError:
-            pipes.stop()
-            if not self._scratch.is_spoilt:
-                self._scratch.clear()  # temporary files too: its locks would meet the next run
-            raise
         finally:
             pipes.stop()
         content = _content(self._files["results"], pipes.tail())

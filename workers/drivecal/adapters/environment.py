@@ -26,12 +26,14 @@ _SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH
 
 LOCKED, A_MOMENT = "drivecal-run-l-", 60.0
 """Beginning of the names of folders that sessions lock, and the age (s) from which such a folder has its lock."""
-_INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|PYTHONHASHSEED|\w+_LICENSE\w*")
+_INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
 _REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """A worker is one of several on its machine, so that a simulator gets one thread if nothing else is set."""
+_ONE_ORDER = {"PYTHONHASHSEED": "0"}
+"""Python orders sets of texts by a secret of each process: equal runs in two processes would differ."""
 
 
 class Scratch:
@@ -66,29 +68,21 @@ class Scratch:
         spoilt."""
         if self.is_spoilt:
             raise PermissionError(errno.EPERM, "a process that cannot be ended may change the folder", str(self.folder))
+        self.folder.chmod(0o700)  # a child may have taken rights away
         discard(self.work)
         self.work.mkdir()
         for path in self.bundle.iterdir():
             if path.name != MANIFEST:
                 (self.work / path.name).symlink_to(path)
 
-    def clear(self) -> None:
+    def clear(self, *, wholly: bool = False) -> None:
         """Empties the working directory and the folder of temporary files: locks and halves of files that a child has left would meet the
-        next one. Files that a driver unpacked next to them stay."""
+        next one. Files that a driver unpacked next to them stay, unless `wholly`. Raises OSError if the folder is spoilt."""
         self.renew()
-        discard(self.home)
-        self.home.mkdir()
-
-    def empty(self) -> None:
-        """Removes everything, with new folders for work and temporary files. Takes all rights for that. Does nothing if the folder is
-        spoilt."""
-        if self.is_spoilt:
-            return
-        self.folder.chmod(0o700)
-        for path in self.folder.iterdir():
-            if path not in {self.work, self.home}:
+        for path in self.folder.iterdir() if wholly else [self.home]:
+            if path != self.work:
                 discard(path)
-        self.clear()
+        self.home.mkdir()
 
     def confinement(self, writable: Collection[str] = ()) -> dict[str, Any] | None:
         """Returns what the keeper's `ruleset` takes; None if the machine's owner wants no confinement. `writable`: further folders."""
@@ -183,4 +177,4 @@ def environment(home: Path, named: Collection[str]) -> dict[str, str]:
     """
     kept = {key: value for key, value in os.environ.items() if key in named or key in _THREADS or _INHERITED.fullmatch(key)}
     places = dict.fromkeys(("HOME", "TMPDIR", "TMP", "TEMP"), str(home))
-    return _THREADS | kept | places
+    return _THREADS | _ONE_ORDER | kept | places

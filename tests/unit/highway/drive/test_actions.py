@@ -104,6 +104,14 @@ def test_an_action_ends_a_motion_to_the_side_where_it_is(sumo: Sumo) -> None:
     assert len(sumo.offsets) == 3
 
 
+def test_a_motion_to_the_side_is_done_at_its_end_whatever_the_rounding(sumo: Sumo) -> None:
+    drift = {"id": "in", "do": "drift", "time": 0.3, "offset": 0.5, "seconds": 0.3}
+    these = several(drift, {"do": "brake", "speed": 0, "rate": 10, "when": [{"done": "in"}]})
+    for number in range(7):
+        these.act(number * 0.1, 0.1, {"v": Moving(100.0, 0.0, 30.0, 2.5), "ego": FAR_AWAY}, 1.0)
+        assert len(sumo.speeds) == max(0, number - 5)
+
+
 def test_an_action_ends_a_change_of_speed_at_the_speed_that_it_has(sumo: Sumo) -> None:
     brake = {"id": "slow", "do": "brake", "time": 0, "speed": 10, "rate": 10, "hold": 1}
     these = several(brake, {"do": "drift", "offset": 0.5, "time": 1, "seconds": 1, "ends": ["slow"]})

@@ -415,6 +415,7 @@ def test_the_speed_keeper_brakes_for_a_leader_and_reaches_the_limit() -> None:
     assert acceleration() == pytest.approx(1.5 * (1 - (2 / 3) ** 4))
     assert acceleration(speed=30.0) == pytest.approx(0)
     assert acceleration(speed=35.0) < 0
+    assert acceleration(speed=35.0, limit_ahead=10.0) == pytest.approx(-2.0), "as comfortable as for a leader"
     assert acceleration(gap=20.0) < -1
     assert acceleration(gap=200.0) > 0
     assert math.isfinite(acceleration(gap=-1.0))

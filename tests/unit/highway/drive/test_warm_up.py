@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import Any
+from unittest import mock
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -117,6 +118,17 @@ def test_each_run_begins_and_goes_on_with_the_same_bits(kind: dict[str, str], ro
     assert same(first, driven(subject, road))
     (tmp_path / "other").mkdir()
     assert same(first, driven(traffic(road, tmp_path / "other", kind, flow), road))
+
+
+def test_sumo_is_loaded_once_for_each_run(road: HighwayRoad, tmp_path: Path) -> None:
+    with mock.patch.object(sumo, "load", wraps=sumo.load) as load:
+        subject, other = traffic(road, tmp_path), traffic(road, tmp_path)
+        other.reset()
+        assert load.call_count == 2
+        for seed in (3, 4):
+            subject.seed(seed)
+            subject.reset()
+        assert load.call_count == 4, "another one was loaded, and then another seed given"
 
 
 def test_times_of_actions_count_from_time_0(road: HighwayRoad, tmp_path: Path) -> None:

@@ -475,7 +475,7 @@ class Actions:
                 running.steps -= side
                 offset -= way
         vehicle.setLateralLanePosition(name, offset)
-        if time >= running.begin + running.seconds and not running.steps:
+        if time >= running.begin + running.seconds - 1e-9 and not running.steps:
             self._events.done.add(running.action or "")
             del self._shifts[name]
 

@@ -70,7 +70,6 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
     control = CommandControl(checked, section.get("period", simulator.step))
     loop = Loop(traffic, vehicle, control)
-    loop.prepare()
 
     def evaluate(request: Mapping[str, Any]) -> Mapping[str, Any]:
         if simulator.random:

@@ -25,13 +25,14 @@ NAMES = tuple(highway_catalogue.SIGNALS)
 SPEED, LIMIT_AHEAD, GAP, LEADER_SPEED = (NAMES.index(name) for name in ("speed", "limit_ahead", "gap", "leader_speed"))
 
 TIME_HEADWAY, STANDSTILL_GAP, ACCELERATION, DECELERATION = 1.5, 2.0, 1.5, 2.0
-"""The built-in speed keeper: the intelligent driver model (Treiber et al. 2000) with these values and the limit ahead as desired speed."""
+"""The built-in speed keeper: the intelligent driver model (Treiber et al. 2000) with these values and the limit ahead as desired speed.
+The model would brake with 9 m/s² for a sign of 80 km/h at 130; this keeper never brakes harder for a limit than `DECELERATION`."""
 
 
 def keeper_acceleration(signals: "memoryview[float] | list[float]") -> float:
     """Returns the acceleration (m/s²) of the built-in speed keeper, for controllers that do not output one."""
     speed, limit, gap = signals[SPEED], max(signals[LIMIT_AHEAD], 1.0), max(signals[GAP], 0.1)
-    free = 1.0 - (speed / limit) ** 4
+    free = max(1.0 - (speed / limit) ** 4, -DECELERATION / ACCELERATION)
     wanted = STANDSTILL_GAP + max(
         0.0, speed * TIME_HEADWAY + speed * (speed - signals[LEADER_SPEED]) / (2.0 * (ACCELERATION * DECELERATION) ** 0.5)
     )

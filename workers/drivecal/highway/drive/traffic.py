@@ -160,6 +160,7 @@ class Traffic:
     def seed(self, number: int) -> None:
         """Sets the seed of SUMO's random numbers in the next runs, in the place of the scenario's."""
         self._options[self._options.index("--seed") + 1] = str(number)
+        self._is_fresh = False
 
     def _use(self, names: list[str], neighbours: Floats, outlines: Floats) -> None:
         self.names, self.neighbours, self.outlines = names, neighbours, outlines
@@ -182,7 +183,7 @@ class Traffic:
         limit = self.scenario.default_limit
         for lane in self.road.unlimited if limit is not None else ():
             sumo.lane.setMaxSpeed(lane, limit)
-        self._loaded = True
+        self._loaded = self._is_fresh = True
 
     def reset(self, *, is_warm: bool = True) -> None:
         """Puts all vehicles to their starts, among the warm-up's. Raises TrafficError if SUMO refuses one.
@@ -190,9 +191,12 @@ class Traffic:
         `is_warm`: false leaves the warm-up out, which most of a run's time may go to; flows begin at time 0 then.
         """
         try:
-            if not self._loaded or not self._is_exact or not sumo.is_current(self._load_number):
-                self._loaded = False
-                self._load(is_warm=is_warm)
+            is_here = self._loaded and sumo.is_current(self._load_number)
+            if not (is_here and self._is_exact):
+                if not (is_here and self._is_fresh and is_warm):
+                    self._loaded = False
+                    self._load(is_warm=is_warm)
+                self._is_fresh = False
                 steps = self._steps_before if is_warm else 0
                 # A vehicle of a route file enters in the step that begins at its time: one step more, and vehicles of time 0 are there.
                 for _ in range(steps + (self._routes is not None)):

@@ -89,7 +89,7 @@ def _steering(
     delay = STEERING_LAG + controller[4] * v / (controller[5] * steering_per_curvature) - controller[3] / v
     lead = controller[2] * v - controller[3] / v
     curvature = _sample(trajectory, 4, time + max(0.0, delay), spacing)
-    curvature += YAW_RATE_GAIN * (_sample(trajectory, 4, time + max(0.0, lead), spacing) - state[5] / v)
+    curvature += YAW_RATE_GAIN * (_sample(trajectory, 4, time + max(0.0, lead), spacing) * (state[3] / v) - state[5] / v)
     curvature -= (LATERAL_STIFFNESS * lateral_error + LATERAL_DAMPING * v * math.sin(course_error)) / (v * v)
     angle: float = steering_per_curvature * curvature
     return angle
@@ -189,7 +189,9 @@ def drive(
                 acceleration = _acceleration(state, position_error, course_error, path, time, spacing)
         elif by == CURVATURE:
             v = max(state[3], DYNAMIC_ABOVE)
-            steering = (controller[0] + controller[1] * v * v) * (lateral + YAW_RATE_GAIN * (lateral - state[5] / v))
+            steering = (controller[0] + controller[1] * v * v) * (
+                lateral + YAW_RATE_GAIN * (lateral * (state[3] / v) - state[5] / v)
+            )
         if not move(state, before, steering, acceleration, plant):
             for remaining in range(k, steps):
                 _record(state, dynamics, remaining)
