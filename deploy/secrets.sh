@@ -39,6 +39,7 @@ make tokens "me write $(random)"
 role=write
 if [ "$(setting DRIVECAL_ALLOW_PUSH "")" = true ]; then
     role=author
+    [ -z "$(tail -c 1 "$folder/tokens")" ] || echo >>"$folder/tokens" # an edited file may lack its last line break
     grep -Eq '^[[:space:]]*[A-Za-z0-9][^[:space:]]*[[:space:]]+author[[:space:]]' "$folder/tokens" ||
         printf 'author author %s\n' "$(random)" >>"$folder/tokens"
 fi

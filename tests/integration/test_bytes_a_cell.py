@@ -40,7 +40,10 @@ def index_references(database: Database) -> None:
     """Computes the reference keys of all runs, as the next campaign on the map does."""
     with database.read() as connection:
         [listed], _ = influence_maps.page(connection)
-        the_map, indexes = stored_map(listed), connection.execute(text("SELECT * FROM reference_indexes")).all()
+        the_map, indexes = (
+            stored_map(influence_maps.get(connection, listed.id)),
+            connection.execute(text("SELECT * FROM reference_indexes")).all(),
+        )
         scenarios = {row.id: row.scenario for row in connection.execute(text("SELECT id, scenario FROM setups"))}
         newest = connection.scalar(text("SELECT max(id) FROM runs")) or 0
     for index in indexes:

@@ -1,5 +1,6 @@
 """Whole campaigns through database and dispatcher, with a formula in the place of the simulation."""
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -98,6 +99,17 @@ def test_pause_stops_the_work_and_resume_goes_on_to_the_same_result(tmp_path: Pa
             working.step()
         result.append(everything(database, campaign))
     assert result[0] == result[1]
+
+
+def test_a_stop_stores_the_results_that_have_come(database: Database) -> None:
+    campaign, backend, stop = submit(database), ComputedBackend(), threading.Event()
+    working = dispatcher(database, backend)
+    while _get(database, campaign).cells.simulated < 50:
+        working.step()
+    stop.set()
+    for _ in range(30):  # in each, some more come
+        working.run(stop)
+    assert _get(database, campaign).cells.simulated == len(backend.sent)
 
 
 @pytest.mark.parametrize("paused", [False, True])

@@ -24,6 +24,7 @@ from tests.support.tree import PROJECT, loaded
 from drivecal.client import Client
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Waits
+from drivecal.domain.errors import ConflictError
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -354,6 +355,9 @@ def test_a_program_that_starts_again_goes_on_without_new_simulations(sqlite: Run
         with again:
             whole = again.evaluate([*points, points[0]])
         campaign = again.result()
+        own = client.submit(SPEC | {"optimizer": {"kind": "genetic"}})
+        with pytest.raises(ConflictError):
+            client.ask_tell(resume=own.id)
     assert whole[0] == whole[-1]
     assert campaign.best is not None
     assert campaign.best.objective == max(answer.objective or 0 for answer in whole)

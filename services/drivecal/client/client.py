@@ -56,7 +56,7 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
-from drivecal.domain.errors import OverloadError, Problem, restated
+from drivecal.domain.errors import ConflictError, OverloadError, Problem, restated
 
 if TYPE_CHECKING:
     from drivecal.configuration.problems import Pushed
@@ -210,7 +210,10 @@ class Client(Transport):
             resume: Id of an open campaign to go on with, in the place of a specification.
         """
         if resume is not None:
-            return AskTell(self, self.campaign(resume))
+            campaign = self.campaign(resume)
+            if (campaign.spec.get("optimizer") or {}).get("kind") != "external":
+                raise ConflictError(f"campaign {campaign.id} proposes its sets itself; resume another one")
+            return AskTell(self, campaign)
         document = dict(plain({} if specification is None else specification))
         return AskTell(self, self.submit({"optimizer": {"kind": "external"}} | document))
 
@@ -396,7 +399,7 @@ class Client(Transport):
         stored = first = 0
         for piece in in_pieces(rows):
             with restated(partial(_moved, first)):
-                stored += _noted(self._post(ImportAnswer, "results", document={**head, "rows": list(piece)})).stored
+                stored += _noted(self._call(ImportAnswer, "POST", "results", document={**head, "rows": list(piece)})).stored
             first += len(piece)
         return stored
 

@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
 from functools import partial
@@ -191,6 +191,11 @@ class Dispatcher:
                 self._report()
                 stop.wait(pause)
                 pause = min(2 * pause, 10.0)
+        with suppress(UnavailableError):  # else what has come is simulated again
+            self._take()
+            for active in list(self._active.values()):
+                if active.job is not None and active.unwritten:
+                    self._guarded(active, partial(self._record, active, active.job))
 
     def step(self) -> None:
         """Runs one round: report, check campaigns and requests, feed the workers, store results."""
@@ -207,9 +212,13 @@ class Dispatcher:
             stage = None if active.stage is None else active.stage.name
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=stage):
                 self._guarded(active, partial(self._move, active))
+        paces = [active.stage.write_seconds for active in self._active.values() if active.stage is not None]
+        self._take(min([POLL_SECONDS, *paces]))
+
+    def _take(self, seconds: float = 0.0) -> None:
+        """Takes the results of the workers; waits for one."""
         by_tag = {active.tag: active for active in self._active.values()}
-        paces = [active.stage.write_seconds for active in by_tag.values() if active.stage is not None]
-        for completion in self._pool.poll(min([POLL_SECONDS, *paces])):
+        for completion in self._pool.poll(seconds):
             if completion.tag in by_tag:
                 by_tag[completion.tag].unwritten.append(completion)
 
@@ -338,7 +347,7 @@ class Dispatcher:
             with self._database.transaction() as connection:
                 campaigns.carry_out(connection, active.campaign.sequence, "cancel")
 
-    def _guarded(self, active: Active, act: Callable[[], None]) -> None:
+    def _guarded(self, active: Active, act: Callable[[], object]) -> None:
         """Confines an error, also in stored rows, to its own campaign."""
         try:
             act()
@@ -359,12 +368,7 @@ class Dispatcher:
         if job is None:
             return
         if active.unwritten and (self._clock() >= active.write_at or not self._pool.held(active.tag)):
-            with MEASURES.record.time():
-                work = job.record(active.unwritten)
-            active.unwritten.clear()
-            active.moved_at, active.stalled = self._clock(), False
-            active.write_at = self._clock() + (0.0 if job.stage is None else job.stage.write_seconds)
-            self._submit(active, work)
+            self._submit(active, self._record(active, job))
         if active.stopping is not None:
             self._finish_stopping(active)
             return
@@ -407,6 +411,15 @@ class Dispatcher:
         held = self._pool.keep(active.tag, {cell.id for batch in work for cell in batch.cells})  # of a dropped job, at workers
         self._submit(active, _without(work, held | {completion.result.id for completion in active.unwritten}))
         return True
+
+    def _record(self, active: Active, job: StagedCampaign) -> Sequence[Work]:
+        """Stores the results that have come, and returns the work that follows."""
+        with MEASURES.record.time():
+            work = job.record(active.unwritten)
+        active.unwritten.clear()
+        active.moved_at, active.stalled = self._clock(), False
+        active.write_at = self._clock() + (0.0 if job.stage is None else job.stage.write_seconds)
+        return work
 
     def _submit(self, active: Active, work: Sequence[Work]) -> None:
         if active.stopping is None:

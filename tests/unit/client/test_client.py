@@ -84,6 +84,12 @@ def test_a_busy_server_is_asked_again_when_it_says_and_with_the_same_key(waits: 
     assert len({headers["idempotency-key"] for _, _, headers, _ in script.requests}) == 1
 
 
+def test_results_from_elsewhere_are_sent_again(waits: list[float]) -> None:
+    with server(AWAY, (200, {}, b'{"stored": 1, "known": 0, "notes": []}')) as (client, _):
+        assert client.import_results([{}], problem="p", source="bench", date="2026-11-20") == 1
+    assert waits == [5.0]
+
+
 def test_patience_has_an_end(waits: list[float]) -> None:
     with server(*[BUSY] * 6) as (client, _), pytest.raises(UnavailableError, match="the queue is full"):
         client.submit({})

@@ -239,13 +239,14 @@ class BundleSessions:
         )
 
     def _repeated(self, setup: SetupRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
-        """Runs a cell again. Returns whether the outcome is the same, None if the simulator cannot start again, and the CPU time (ms)."""
+        """Runs a cell again. Returns whether the outcome is the same, None if there is no other one, and the CPU time (ms)."""
         start = time.thread_time_ns()
         self._starts += 1
         try:
             again = self._sessions[setup.session_key].evaluate(parameters, seed=setup.seed)
-        except NoMeasuresError as error:
-            return False, milliseconds_since(start) + 1000 * error.cpu_seconds
+        except NoMeasuresError as error:  # a crash says nothing about what a whole run would give
+            log.warning("a run of %s that was repeated has no result: %s", setup.problem, error)
+            return None, milliseconds_since(start) + 1000 * error.cpu_seconds
         except (UnavailableError, OSError) as error:
             # The first outcome counts all the same, or the cell would come back again and again. The next one begins with all checks.
             log.warning("a run of %s cannot be repeated: %s", setup.problem, error)

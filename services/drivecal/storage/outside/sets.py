@@ -116,8 +116,8 @@ def waiting(connection: Connection, campaign_sequence: int, most: int) -> tuple[
 
 
 def hold(connection: Connection, campaign_sequence: int, numbers: Sequence[int]) -> int:
-    """Returns how many of the sets, from the first one, are not cancelled. None can be cancelled until the transaction ends: whoever
-    writes sets locks their campaign first."""
+    """Returns how many of the sets, from the first one, are not cancelled. None can be cancelled until the transaction ends: writers
+    of sets lock their campaign first."""
     table = outside_sets.c
     connection.execute(select(campaigns_table.c.id).where(campaigns_table.c.sequence == campaign_sequence).with_for_update())
     query = select(table.number, table.cancelled).where(table.campaign_sequence == campaign_sequence)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, bindparam, select
+from sqlalchemy import Connection, bindparam, null, select
 
 from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import influence_maps
@@ -25,7 +25,7 @@ class StoredInfluenceMap:
     parameters: Any
     """Parameters of the map, or those it was checked against, with their grids, as a JSON document."""
     scenarios: Mapping[str, Any]
-    """Influence by scenario and parameter, as a JSON document."""
+    """Influence by scenario and parameter, as a JSON document; None in a list."""
     basis: Mapping[str, Any] | None
     """Basis of the analysis: fixed values, setups, evaluator, settings; None for a map that a user posted."""
     created_at: datetime
@@ -62,6 +62,8 @@ def get(connection: Connection, map_id: str) -> StoredInfluenceMap:
 
 
 def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
-    """At most `limit` maps, newest first, and the cursor of the next page (None on the last). Raises InvalidInputError."""
-    rows, following = page_by(connection, select(influence_maps), influence_maps.c.sequence, limit, cursor)
+    """At most `limit` maps without their scenarios and basis, which may have megabytes; newest first, and the cursor of the next page (None
+    on the last). Raises InvalidInputError."""
+    listed = [null().label(each.name) if each.name in {"scenarios", "basis"} else each for each in influence_maps.c]
+    rows, following = page_by(connection, select(*listed), influence_maps.c.sequence, limit, cursor)
     return [record(StoredInfluenceMap, row) for row in rows], following
