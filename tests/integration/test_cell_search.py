@@ -17,6 +17,7 @@ from tests.support.runs import dispatcher, everything, finish, get, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
+from drivecal.campaigns.stages import cell_search
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.constraints import Constraint, Constraints
@@ -81,10 +82,31 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     assert begun == present(first.best).parameters, "no stored set has S4, where all count alike"
 
 
-def test_a_stored_set_that_a_new_constraint_forbids_is_not_the_best(database: Database) -> None:
-    def costly(_: Any, cell: Cell) -> CellResult:
-        return CellResult(cell.id, None, None, {"y": 5.0 * float(cell.parameters["x"])}, None, 7.0)
+def costly(_: Any, cell: Cell) -> CellResult:
+    return CellResult(cell.id, None, None, {"y": 5.0 * float(cell.parameters["x"])}, None, 7.0)
 
+
+def test_a_search_begins_with_the_best_stored_set_however_old(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell_search, "MOST_KNOWN", 3)
+    store(database, scored("old", {"x": {"lower": 0, "upper": 1, "step": 0.05}}))
+    filling = {"kind": "random", "population": 15, "iterations": 1, "start_sets": [{"x": 0.0}]}
+    run(database, submit_checked(database, {"problem": "old", "optimizer": filling}), ComputedBackend(driven=costly))
+    campaign = submit_checked(database, {"problem": "old", "budget": {"simulations": 3}, "optimizer": {"kind": "surrogate"}})
+    run(database, campaign, ComputedBackend(driven=costly))
+    with database.read() as connection:
+        assert next(iter(results.stream(connection, campaign.sequence))).parameters.floats == {"x": 0.0}
+
+
+@pytest.mark.parametrize("is_random", [False, True])
+def test_a_budget_of_one_set_suffices_if_runs_may_differ(database: Database, is_random: bool) -> None:
+    simulator = {"kind": "process", "command": ["./run"], "random": is_random}
+    store(database, scored("one", {"x": {"lower": 0, "upper": 1}}, simulator=simulator, scenarios={"a": {}, "b": {}}))
+    campaign = submit_checked(database, {"problem": "one", "budget": {"simulations": 2}})
+    ended = run(database, campaign, ComputedBackend(driven=costly))
+    assert (ended.state, ended.cells.runs) == (CampaignState.SUCCEEDED, 2)
+
+
+def test_a_stored_set_that_a_new_constraint_forbids_is_not_the_best(database: Database) -> None:
     problem = scored("narrowed", {"x": {"lower": 0, "upper": 1, "step": 0.05}})
     for constraints, best in (([], 0.0), (["x >= 0.4"], 2.0)):
         store(database, problem | {"constraints": constraints})

@@ -6,6 +6,7 @@ Its task is the space, the aim, and the answers that are stored before the campa
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import groupby
 
 import numpy as np
 from sqlalchemy import Connection
@@ -38,8 +39,8 @@ MOST_BEST = 3
 """Best stored sets by each objective that a search begins with."""
 SURE = 0.95
 """Confidence of what such a set reaches at least if its runs are random."""
-MOST_KNOWN = 2_000
-"""Newest stored runs of each scenario from which a search begins."""
+MOST_KNOWN, MOST_READ = 2_000, 10_000
+"""Newest stored runs of each scenario that a search knows when it begins, and among which the best stored sets are looked for."""
 
 
 class CellSearch(ComputedSearch):
@@ -54,7 +55,7 @@ class CellSearch(ComputedSearch):
         self._within = problem.search_simulations() or 0
         super().__init__(database, campaign, problem, view)
         if self._limit is not None:
-            self._tracker.limit_cells(_most_cells(self._within, problem.bench.repeated_share))
+            self._tracker.limit_cells(_most_cells(self._within, problem))
         told = max(0, self._next - self.window)
         with database.read() as connection:
             last = generations.last(connection, campaign.sequence)
@@ -147,8 +148,8 @@ def _search_task(
         repair=repair,
         sample=sample,
         start=np.concatenate([start, np.array(best, dtype=np.int64).reshape(len(best), len(space.n_values))]),
-        known=[answer for answer in known if answer.cell.indices not in first or answer.cell.replicate > 1],
-        cells=None if limit is None else _most_cells(limit, problem.bench.repeated_share) // problem.least_replicates,
+        known=[each for each in _newest(known) if each.cell.indices not in first or each.cell.replicate > 1],
+        cells=None if limit is None else _most_cells(limit, problem) // problem.least_replicates,
         window=WINDOW,
         random=problem.bench.is_random,
         replicates=replicates,
@@ -158,9 +159,15 @@ def _search_task(
     )
 
 
-def _most_cells(runs: int, repeated_share: float) -> int:
-    """Returns the cells that a search may ask for in a budget of runs: `repeated_share` of the simulated cells run twice."""
-    return runs - math.ceil(runs * repeated_share / (1.0 + repeated_share))
+def _most_cells(runs: int, problem: CalibrationProblem) -> int:
+    """Returns the cells that a search may ask for in a budget of runs: some run twice, but not those of the only set."""
+    share = problem.bench.repeated_share
+    return max(runs - math.ceil(runs * share / (1.0 + share)), min(runs, len(problem.scenarios) * problem.least_replicates))
+
+
+def _newest(known: Sequence[CellAnswer]) -> list[CellAnswer]:
+    by_scenario = groupby(known, lambda answer: (answer.cell.replicate, answer.cell.scenario))
+    return [answer for _, answers in by_scenario for answer in list(answers)[-MOST_KNOWN:]]
 
 
 def _best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[int, ...]]:
@@ -228,7 +235,7 @@ def _stored(
     connection: Connection, view: View, problem: CalibrationProblem, bench: Bench, scenario: str, watermark: int
 ) -> Iterator[tuple[tuple[int, ...], CellScore]]:
     """Yields the stored runs of a bench in a scenario, with the grid indices of their sets."""
-    stored = earlier.rated(connection, bench, view.earlier, scenario, watermark, MOST_KNOWN)
+    stored = earlier.rated(connection, bench, view.earlier, scenario, watermark, MOST_READ)
     measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.id for run in stored])
     for run in stored:
         indices = place_in(problem.space, run.parameters)
