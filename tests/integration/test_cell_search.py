@@ -86,6 +86,13 @@ def costly(_: Any, cell: Cell) -> CellResult:
     return CellResult(cell.id, None, None, {"y": 5.0 * float(cell.parameters["x"])}, None, 7.0)
 
 
+def test_a_generational_search_keeps_nothing_for_a_check_of_copies_that_it_has_not(database: Database) -> None:
+    store(database, scored("plain", {"x": {"lower": 0, "upper": 1}}))
+    optimizer = {"kind": "genetic", "population": 10}
+    campaign = submit_checked(database, {"problem": "plain", "budget": {"simulations": 50}, "optimizer": optimizer})
+    assert run(database, campaign, ComputedBackend(driven=costly)).cells.simulated == 50
+
+
 def test_a_search_begins_with_the_best_stored_set_however_old(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cell_search, "MOST_KNOWN", 3)
     store(database, scored("old", {"x": {"lower": 0, "upper": 1, "step": 0.05}}))

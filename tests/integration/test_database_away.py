@@ -88,7 +88,11 @@ def says_so_everywhere(api: RunningApi) -> None:
     assert (ready.status_code, ready.json()["ready"]) == (503, False)
     assert ready.json()["problems"][0]
     figures = ask(api, "/metrics")
-    assert (figures.status_code, "drivecal_database_up 0.0" in figures.text) == (200, True)
+    assert (figures.status_code, "drivecal_database_up 0.0" in figures.text, "drivecal_ready 0.0" in figures.text) == (
+        200,
+        True,
+        True,
+    )
     assert "drivecal_cells_total" not in figures.text
     assert ask(api, "/healthz").json() == {"status": "alive"}
 

@@ -62,13 +62,15 @@ class ServiceCollector(Collector):
             totals = self._database.query(statistics.read)
         except (DrivecalError, SQLAlchemyError):
             yield GaugeMetricFamily("drivecal_database_up", _UP, 0)
+            yield GaugeMetricFamily("drivecal_ready", _READY, 0)
             return
         yield GaugeMetricFamily("drivecal_database_up", _UP, 1)
         yield from _of_database(totals)
         yield from _of_dispatcher(totals.dispatcher)
 
 
-_UP = "1 if the database answers; else 0, and metrics read from it are left out"
+_READY = "1 where campaigns are carried out, as /readyz says"
+_UP = "1 if the database answers; else 0, and other metrics read from it are left out"
 
 
 def _of_database(totals: Statistics) -> Iterator[Any]:
@@ -97,7 +99,7 @@ def _of_database(totals: Statistics) -> Iterator[Any]:
 
 def _of_dispatcher(dispatcher: StoredProcess | None) -> Iterator[Any]:
     readiness = judge(dispatcher, now())
-    yield GaugeMetricFamily("drivecal_ready", "1 where campaigns are carried out, as /readyz says", float(readiness.ready))
+    yield GaugeMetricFamily("drivecal_ready", _READY, float(readiness.ready))
     degraded = "1 if something is wrong and less work is done than could be"
     yield GaugeMetricFamily("drivecal_degraded", degraded, float(bool(readiness.problems)))
     if dispatcher is None:

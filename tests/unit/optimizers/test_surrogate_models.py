@@ -96,11 +96,13 @@ def test_pending_points_shrink_the_deviation_and_not_the_mean() -> None:
     assert (surer < deviations / 2).all()
 
 
-@given(values=st.lists(st.floats(0.01, 1e3), min_size=1, max_size=30), best=st.sampled_from([0.0, 2e3, np.inf, -np.inf]))
+@given(
+    values=st.lists(st.floats(0.01, 1e3), min_size=1, max_size=30), best=st.sampled_from([0.0, 2e3, np.inf, -np.inf, np.nan])
+)
 def test_a_warp_is_inverted(values: list[float], best: float) -> None:
     numbers = np.array(values)
     warp = Warp.chosen(numbers, best)
-    np.testing.assert_allclose(warp.undone(warp(numbers)), numbers, rtol=1e-9)
+    np.testing.assert_allclose(warp.undone(warp(numbers)), numbers, rtol=1e-9, atol=1e-9)
 
 
 def test_skewed_costs_are_warped_and_others_are_not() -> None:
@@ -112,6 +114,18 @@ def test_skewed_costs_are_warped_and_others_are_not() -> None:
 def scenario_model() -> ScenarioModel:
     """Returns a model of one value, a cost."""
     return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
+
+
+@pytest.mark.parametrize("best", [0.0, -np.inf, np.nan])
+def test_values_far_beyond_all_others_hide_no_differences_of_these(best: float) -> None:
+    model = ScenarioModel(1, 3, ENCODING.owners, np.array([best]), np.array([np.inf]))
+    features, targets = drawn(80, 3)
+    values = 5 + targets + np.where(features[:, 0] > 0.6, 1e9 * features[:, 0], 0.0)
+    model.learn(under(features), values[:, np.newaxis], np.zeros(80, dtype=np.bool_), NONE)
+    others, truth = drawn(200, 4)
+    near = others[:, 0] < 0.5
+    predicted = model.predict(others[near], pending=False).means[:, 0]
+    assert np.corrcoef(predicted, truth[near])[0, 1] > 0.55
 
 
 def test_the_noise_of_a_random_simulator_is_estimated() -> None:

@@ -21,7 +21,7 @@ from drivecal.campaigns.stages.asking import AskedRound, PopulationAsker, popula
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round, Wait
 from drivecal.contracts.campaign import Released
-from drivecal.domain.evaluations import RequestedCell
+from drivecal.domain.evaluations import Outcome, RequestedCell
 from drivecal.domain.events import EventKind
 from drivecal.storage import events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
@@ -176,7 +176,10 @@ class PopulationSearch(ComputedSearch):
             return planned
         room, reduction = self._cells_left, self._problem.specification.reduction
         seeds = [bench.seed for bench, _ in asked.cells]
-        if self._problem.policy.mode not in {"off", "exact"}:  # may confirm the best set
+        counts, copied = self._tracker.counts, {Outcome.PREDICTED, Outcome.REUSED}
+        if any(counts.get(each, 0) for each in copied) or any(
+            cell.plan in copied for cell in planned
+        ):  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
         place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
         if place:

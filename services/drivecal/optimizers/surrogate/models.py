@@ -30,6 +30,11 @@ MOST_TUNED = 150
 """Answers that hyperparameters are fitted to; of more, every second or third."""
 FEWEST = 3
 """Answers with which a process begins."""
+FAR_BEYOND = 0.5
+"""Least gain in the logarithm of the likelihood of a value for which values without a better end are warped."""
+GAP = 4.0
+"""Gap between logarithms of values, beyond which the worse ones count as equal: other than in a part of the space that blows up, there
+are values in between."""
 OUT_OF_REACH = 1e3
 """Feature that no set is near, in ranges."""
 MOST_ALIKE = 0.9999
@@ -38,20 +43,29 @@ MOST_ALIKE = 0.9999
 
 @dataclass(frozen=True, slots=True)
 class Warp:
-    """Strictly rising function of values, under which they are nearer to a normal distribution: none, or the logarithm of the distance
-    from an end of the range."""
+    """Strictly rising function of values, under which they are nearer to a normal distribution: none, the logarithm of the distance from
+    an end of the range, or the inverse hyperbolic sine, a logarithm to both sides."""
 
     origin: float = 0.0
     sign: float = 0.0
-    """Direction of the values from the origin; 0: no warp."""
-    unit: float = 1.0
+    """Direction of the values from the origin; 0: both."""
+    unit: float = 0.0
+    """0: no warp."""
 
     @classmethod
     def chosen(cls, values: Floats, best: float) -> "Warp":
-        """Returns what makes values likelier (Box and Cox 1964); `best`: the better end of their range, NaN for no warp."""
+        """Returns what makes values likelier (Box and Cox 1964); `best`: the better end of their range, NaN if none is better."""
         spread = values.std()
         if len(values) < FEWEST + 2 or spread <= 0:
             return cls()
+        if np.isnan(best):  # some may be far beyond all others, on either side
+            centre = float(np.median(values))
+            unit = float(np.median(np.abs(values - centre)))
+            if unit <= 0:
+                return cls()
+            places = (values - centre) / unit
+            gain = np.log(places.std() / np.arcsinh(places).std()) - 0.5 * np.log1p(places**2).mean()
+            return cls(centre, 0.0, unit) if gain > FAR_BEYOND else cls()
         for sign in (1.0, -1.0):
             nearest = float((sign * values).min())
             # a value without limits may get better by half of the median's distance, in any unit and from any offset
@@ -65,11 +79,21 @@ class Warp:
         return cls()
 
     def __call__(self, values: Floats) -> Floats:
-        return np.log(np.maximum(self.sign * (values - self.origin) / self.unit, 1e-12)) if self.sign else values
+        warped = values
+        if self.sign:
+            warped = np.log(np.maximum(self.sign * (values - self.origin) / self.unit, 1e-12))
+        elif self.unit:
+            warped = np.arcsinh((values - self.origin) / self.unit)
+        return warped
 
     def undone(self, warped: Floats) -> Floats:
         """Inverts the warp."""
-        return self.origin + self.sign * self.unit * np.exp(np.minimum(warped, 300.0)) if self.sign else warped
+        values = warped
+        if self.sign:
+            values = self.origin + self.sign * self.unit * np.exp(np.minimum(warped, 300.0))
+        elif self.unit:
+            values = self.origin + self.unit * np.sinh(np.clip(warped, -300.0, 300.0))
+        return values
 
 
 @dataclass(slots=True)
@@ -87,8 +111,12 @@ class Output:
         """Learns from at least one answer. `known`: number of all answers, those left out included."""
         self.warp = warp
         warped = warp(targets)
+        if warp.sign and self.prior is EXACT:  # how bad the worst are tells nothing about the best, and would hide it
+            worse = np.sort(warped)[len(warped) // 2 :]
+            if len(gaps := np.flatnonzero(np.diff(worse) > GAP)):
+                warped = np.minimum(warped, worse[gaps[0]] + 1.0)
         self.constant, self.spread = float(warped.mean()), float(warped.std())
-        if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.sign == 0 else ()):
+        if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.unit == 0 else ()):
             self.process = None
             return
         if known >= max(self.tuned.count + 1, GROWTH * self.tuned.count):
@@ -145,8 +173,9 @@ class ScenarioModel:
             self._hope(points, pending[:0])
             return
         for place, output in enumerate(self._outputs if known else ()):
-            own = values[~failed, place]
-            output.learn(points[~failed], own, self._owners, pending, Warp.chosen(own, float(self._best[place])), known)
+            own, best = values[~failed, place], float(self._best[place])
+            warp = Warp() if self._random and np.isnan(best) else Warp.chosen(own, best)  # a mean counts all of a rare bad run
+            output.learn(points[~failed], own, self._owners, pending, warp, known)
         if known:
             self._failure.learn(points, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
 
