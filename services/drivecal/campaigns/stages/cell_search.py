@@ -160,7 +160,7 @@ def _search_task(
 
 
 def _most_cells(runs: int, problem: CalibrationProblem) -> int:
-    """Returns the cells that a search may ask for in a budget of runs: some run twice, but not those of the only set."""
+    """Returns the cells that a search may ask for in a budget of runs: some run twice, unless there is one set only."""
     share = problem.bench.repeated_share
     return max(runs - math.ceil(runs * share / (1.0 + share)), min(runs, len(problem.scenarios) * problem.least_replicates))
 
