@@ -1,11 +1,12 @@
 """Column types that mean the same on SQLite and PostgreSQL."""
 
 import json
-import math
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from pydantic import TypeAdapter
+from pydantic_core import to_jsonable_python
 from sqlalchemy import JSON, BigInteger, DateTime, Dialect, Double, Integer, SmallInteger, Text
 from sqlalchemy.types import TypeDecorator, TypeEngine
 
@@ -101,15 +102,8 @@ class UtcDateTime(TypeDecorator[datetime]):
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)
 
 
-def finite(document: Any) -> Any:
-    """Returns `document` with null for every number that JSON cannot express (NaN, infinities)."""
-    if isinstance(document, float):
-        return document if math.isfinite(document) else None
-    if isinstance(document, dict):
-        return {name: finite(value) for name, value in document.items()}
-    if isinstance(document, list | tuple):
-        return [finite(value) for value in document]
-    return document
+finite = partial(to_jsonable_python, inf_nan_mode="null")
+"""Returns plain data with null for every number that JSON cannot express (NaN, infinities)."""
 
 
 def to_json(document: Any) -> str:
