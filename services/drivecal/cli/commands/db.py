@@ -44,7 +44,7 @@ def upgrade(database_url: DatabaseOption = None, as_json: JsonOption = False) ->
                 opened.upgrade()
             opened.check()
         name = opened.name
-    print_answer({"database": name, "current": True}, as_json, lambda _: typer.echo(f"{name} is current"))
+    print_answer({"database": name, "current": True}, as_json, lambda: typer.echo(f"{name} is current"))
 
 
 @database.command()
@@ -70,7 +70,7 @@ def backup(
         copied = write(opened, file, _Telling())
         report = _copied(file, opened, copied, started)
     text = f"{file} holds {_rows(copied)} of {report['database']}, revision {copied.revision}"
-    print_answer({**report, "bytes": file.stat().st_size}, as_json, lambda _: typer.echo(text))
+    print_answer({**report, "bytes": file.stat().st_size}, as_json, lambda: typer.echo(text))
 
 
 @database.command()

@@ -180,7 +180,7 @@ def demo(as_json: JsonOption = False) -> None:
     except KeyboardInterrupt as error:
         say("interrupted; the coordinator has been stopped")
         raise typer.Exit(ExitCode.INTERRUPTED) from error
-    print_answer(summary, as_json, lambda _: _print_end(campaign, folder, time.monotonic() - started))
+    print_answer(summary, as_json, lambda: _print_end(campaign, folder, time.monotonic() - started))
 
 
 def _first(client: Client, as_json: bool) -> Campaign:

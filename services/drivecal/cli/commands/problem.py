@@ -109,7 +109,7 @@ def check(
         report["warnings"] += [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
         report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
-    print_answer(report, as_json, lambda report: _print_check(report, checked))
+    print_answer(report, as_json, lambda: _print_check(report, checked))
     broken = [result for result in checked if result.error or (manifest.simulator.deterministic and not result.repeats)]
     if broken:
         raise typer.Exit(ExitCode.FAILED)
@@ -294,7 +294,7 @@ def parameters(
     chosen = chosen_by(offered, match or [])
     sections = sections_of(chosen, {label: name for name, label in labels.items()}, span)
     document = {"parameters": sections.parameters, "baseline": sections.baseline}
-    print_answer(document, as_json, lambda _: typer.echo("\n".join(_yaml(sections))))
+    print_answer(document, as_json, lambda: typer.echo("\n".join(_yaml(sections))))
     for noted in (each for each in chosen if each.note):
         say(f"{noted.name}: {noted.note}")
     for source, content in contents:

@@ -6,7 +6,7 @@ from datetime import datetime
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Concatenate, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate
 
 import typer
 from pydantic import BaseModel
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from drivecal.client.client import Client
 
 Shapes = Mapping[str, ShapeAnswer]
-Shown = TypeVar("Shown")
 Show = Callable[[], None]
 Asked = tuple[object, Show] | tuple[object, Show, int]
 """An answer, what prints it, and the exit status of its command if it may differ from 0."""
@@ -56,7 +55,7 @@ def asking(command: "Callable[Concatenate[Client, ...], Asked]") -> Callable[...
     def shown(*, url: str | None, as_json: bool, **given: Any) -> None:
         with connect(url) as client:
             answer, show, *code = command(client, **given)
-            print_answer(answer, as_json, lambda _: show())
+            print_answer(answer, as_json, show)
         raise typer.Exit(*code)
 
     _, *taken = signature(command, eval_str=True).parameters.values()
@@ -72,12 +71,12 @@ def print_json(answer: object) -> None:
     typer.echo(json.dumps(to_jsonable_python(answer), indent=2, ensure_ascii=False))
 
 
-def print_answer(answer: Shown, as_json: bool, show: Callable[[Shown], None]) -> None:
+def print_answer(answer: object, as_json: bool, show: Show) -> None:
     """Prints an answer as JSON, or by `show`."""
     if as_json:
         print_json(answer)
     else:
-        show(answer)
+        show()
 
 
 def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
