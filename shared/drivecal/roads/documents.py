@@ -54,15 +54,6 @@ LONGEST_VALUE = 4_000_000
 _INTEGER = re.compile(r"[+-]?[0-9]{1,9}")
 
 
-def finite(text: str) -> float | None:
-    """Returns the number in a text, None if there is none."""
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) and "_" not in text else None
-
-
 class Attributes:
     """The attributes of an element and its line: reads numbers, names and words, and refuses others."""
 

@@ -7,8 +7,9 @@ from io import BytesIO
 
 from drivecal.bundles import units
 from drivecal.bundles.archives import UNREADABLE
+from drivecal.contracts.assignments import finite_number
 from drivecal.domain.errors import InvalidInputError
-from drivecal.roads.documents import Attributes, finite, read_elements
+from drivecal.roads.documents import Attributes, read_elements
 
 LARGEST_DESCRIPTION = 32 << 20
 LARGEST_DIRECTORY = 4 << 20
@@ -185,4 +186,4 @@ class _Reader:
 
 def number(text: str | None) -> float | None:
     """Returns a finite number, 1 or 0 of a Boolean; None if there is none, or an array of several."""
-    return float(text == "true") if text in {"true", "false"} else finite(text or "")
+    return float(text == "true") if text in {"true", "false"} else finite_number(text or "")

@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from drivecal.bundles.traffic.expressions import ExpressionError, evaluated
+from drivecal.contracts.assignments import finite_number
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.roads.documents import Attributes, cut, finite, read_elements
+from drivecal.roads.documents import Attributes, cut, read_elements
 
 MOST_ELEMENTS = 200_000
 LONGEST_NOTE = 200
@@ -242,7 +243,7 @@ def parameter_holds(condition: Element) -> bool:
 
 def _holds(limit: Element, value: str) -> bool:
     rule, other = limit.word("rule", _RULES), limit.text("value")
-    numbers = finite(value), finite(other)
+    numbers = finite_number(value), finite_number(other)
     if None in numbers:
         return {"equalTo": value == other, "notEqualTo": value != other}.get(rule, False)
     return bool(_RULES[rule](*numbers))
@@ -253,7 +254,7 @@ def _computed(element: Element, expression: str) -> str:
 
     def named(match: re.Match[str]) -> str:
         name, text = f"p{len(values)}_", _value(element, match[1])
-        number = {"true": True, "false": False}.get(text.strip().lower(), finite(text))
+        number = {"true": True, "false": False}.get(text.strip().lower(), finite_number(text))
         if number is None:
             raise element.fault(f"the parameter {shown(match[1])} is not a number", "give it a number")
         values[name] = number

@@ -18,10 +18,10 @@ from drivecal.bundles.highway import CLASSES, Surroundings
 from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.highway_catalogue import TYPE_PARAMETERS
 from drivecal.bundles.traffic.elements import Element, Notes, read_tree
+from drivecal.contracts.assignments import finite_number
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.roads.documents import finite
 from drivecal.roads.network import Network
 
 _TYPE = re.compile(r"(?:atomic|union) type '(?:xs:)?(\w+)'")
@@ -231,8 +231,8 @@ class _Reader:
         """Checks that a vehicle can start with its type's speed in its lane, and that its way leads to its stops and its end."""
         values, route = element.values, element.optional("route")
         of_type = kind.values if (kind := self._given["type"].get(values.get("type", "DEFAULT_VEHTYPE"))) else {}
-        fastest = finite(of_type.get("maxSpeed", "")) or FASTEST.get(of_type.get("vClass", ""), 200 / 3.6)
-        if (finite(values.get("departSpeed", "")) or 0.0) > fastest and (kind is None or kind.element == "vType"):
+        fastest = finite_number(of_type.get("maxSpeed", "")) or FASTEST.get(of_type.get("vClass", ""), 200 / 3.6)
+        if (finite_number(values.get("departSpeed", "")) or 0.0) > fastest and (kind is None or kind.element == "vType"):
             raise element.fault(f"departSpeed is above the {fastest:.4g} m/s of the type", "give less, or the type a maxSpeed")
         ways = [edge for key in ("from", "via", "to") for edge in values.get(key, "").split() if "from" in values]
         for begin, end in pairwise(ways):
@@ -275,7 +275,7 @@ class _Reader:
 
     def _along(self, element: Element, key: str, edge: str, default: float) -> float:
         """Returns a place along an edge (m), which may be given from its end."""
-        place = finite(element.values.get(key, ""))
+        place = finite_number(element.values.get(key, ""))
         return default if place is None else place + self._network.edges[edge].lanes[0].length * (place < 0)
 
     def _halt(self, stop: Element) -> tuple[str, float]:
@@ -302,12 +302,12 @@ class _Reader:
             if key in known - NAMES:
                 text = _BLANKS.sub(r"\1", element.values[key]).strip()
                 low, high = LIMITS.get((element.element, key), (-LONG, LONG)) if "exp" not in text else (1e-9, 1e3)
-                numbers = [finite(part) for part in (text.removeprefix("exp(").rstrip(")"), *_NUMBER.findall(text))]
+                numbers = [finite_number(part) for part in (text.removeprefix("exp(").rstrip(")"), *_NUMBER.findall(text))]
                 if None in numbers[1:] or not all(low <= number <= high for number in numbers[:1] if number is not None):
                     raise element.fault(f"{key} is {shown(text, 40)}", f"give a number from {low:g} to {high:g}")
                 if key == "speedFactor" and len(numbers) == 2 and element.element == "vType" and numbers[0] is not None:
                     usual = CLASSES.get(element.values.get("vClass", ""), CLASSES["passenger"])[2]
-                    spread = 3 * (usual if (own := finite(element.values.get("speedDev", ""))) is None else own)
+                    spread = 3 * (usual if (own := finite_number(element.values.get("speedDev", ""))) is None else own)
                     if spread > 0 and not 0.2 - spread <= numbers[0] <= 2.0 + spread:
                         raise element.fault(f"{key} {numbers[0]:g} is beyond 0.2 to 2", "give one between, or speedDev 0")
             elif key in {"from", "route", "type"} and not element.values[key].strip():
@@ -332,7 +332,9 @@ class _Reader:
             members = [self._given[kind][other] if kind == "type" else None for other in listed[len(shares) :]]
             members += element.every("vType", "route")
             rest = ["1" if each is None else each.values.get("probability", "1") for each in members]
-            if None in map(finite, shares) or not sum(finite(each) or 0.0 for each in shares[: len(listed)] + rest):
+            if None in map(finite_number, shares) or not sum(
+                finite_number(each) or 0.0 for each in shares[: len(listed)] + rest
+            ):
                 remedy = f"give it a {kind}, and one of them a number above 0 as probability"
                 raise element.fault(f"nothing can be drawn of it, with probabilities {shown(' '.join(shares), 40)}", remedy)
         self._taken[kind] |= {name} - {""}
@@ -372,7 +374,7 @@ def _copied(element: Element, read: list[Element]) -> ET.Element:
 def _seconds(element: Element, key: str, default: str | None = None) -> float:
     """Returns a time in seconds, which may be written as days, hours, minutes and seconds with colons."""
     text = element.text(key, default)
-    parts = [finite(part) for part in reversed(_DRAWN.sub(r"\1", _BLANKS.sub(r"\1", text.strip())).split(":"))]
+    parts = [finite_number(part) for part in reversed(_DRAWN.sub(r"\1", _BLANKS.sub(r"\1", text.strip())).split(":"))]
     total = sum((inf if part is None else part) * unit for part, unit in zip(parts, (1.0, 60.0, 3600.0, 86400.0), strict=False))
     if not abs(total) <= LONG or len(parts) not in {1, 3, 4}:
         raise element.fault(f"{key} is {shown(text, 40)}, which is not a time", "give seconds, e.g. 12.5")
