@@ -2,10 +2,9 @@
 
 import gzip
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -13,7 +12,7 @@ import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.problems import REPLAY, ROADS, replayed, store
 from tests.support.runs import dispatcher, get, run, submit
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 from tests.support.values import MIDDLE, present
 
 from drivecal.client import Client
@@ -40,12 +39,6 @@ def traced(scenario: str, cell: Cell) -> CellResult:
         return CellResult(cell.id, None, None, {}, None, 7.0, "error", "the driving function gave up")
     document = {"measures": dict(result.metrics), "failure": result.failure, "series": SERIES}
     return replace(result, trace=gzip.compress(json.dumps(document).encode(), mtime=0)) if cell.trace else result
-
-
-@pytest.fixture
-def api(tmp_path: Path) -> Iterator[RunningApi]:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as running:
-        yield running
 
 
 def work(api: RunningApi, answer: Callable[[str, Cell], CellResult] = traced) -> ComputedBackend:
