@@ -32,7 +32,6 @@ def write_problem(kind: str, name: str, folder: str | Path | None = None) -> lis
 
 
 def _template(kind: str, name: str) -> dict[str, str]:
-    """Returns the files of a template by name."""
     if kind != PLANNER:
         folder = resources.files("drivecal.client") / "templates" / kind
         return {file.name.removesuffix(".txt"): file.read_text(encoding="utf-8") for file in folder.iterdir() if file.is_file()}

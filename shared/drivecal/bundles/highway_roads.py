@@ -231,7 +231,6 @@ def _made(part: T | InvalidInputError) -> T:
 
 
 def _problems(roads: _Roads, field: str, scenario: HighwayScenario) -> Iterator[Problem]:
-    """Yields the faults of a scenario."""
     try:
         network, road = roads.map(scenario.network).network, roads.corridor(scenario)
     except InvalidInputError as error:

@@ -188,7 +188,6 @@ class _Placement:
             via = self.onward.get(via)
 
     def _write(self, lane: Element, points: Floats, widths: Floats) -> None:
-        """Writes points and widths of a lane."""
         kept = _simplified(np.column_stack([points, widths]))
         shape = kept[:, :2] if len(kept) > 1 else np.vstack([kept[:, :2]] * 2)
         lane.set("shape", " ".join(f"{x:.{DECIMALS}f},{y:.{DECIMALS}f}" for x, y in shape))

@@ -79,7 +79,6 @@ def _refuse_without(*packages: str) -> None:
 
 
 def _start_process(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
-    """Starts the program."""
     check_command(section["command"], scratch.work)
     return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
 

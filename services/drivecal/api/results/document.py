@@ -269,7 +269,6 @@ def _limits(function: Function, parameter: Parameter) -> tuple[str | None, str |
 
 
 def _descriptions(function: Function | None) -> dict[str, str]:
-    """Returns the descriptions of parameters."""
     spaces = {} if function is None else function.spaces
     return {parameter.name: parameter.description for space in spaces.values() for parameter in space}
 

@@ -96,7 +96,6 @@ def restore(
 
 @contextmanager
 def _opened(database_url: str | None) -> Iterator[tuple[str, Database]]:
-    """Opens the database; yields its URL and the database."""
     from drivecal.storage.engine.database import Database
 
     url = load_settings(database_url=database_url).database_url

@@ -482,7 +482,6 @@ class Scheduler:
         self._queue.put(simulation)
 
     def _complete(self, leader: Claim, answer: CellResult, worker: str, attempts: int) -> list[Completed]:
-        """Completes the claims to a simulation."""
         simulation = leader.simulation
         if answer.breakdown is None and simulation.fault is not None:
             answer = replace(answer, detail=simulation.fault)
