@@ -60,7 +60,7 @@ class EconomyProblem:
         """The mean of the score over the scenarios."""
         return WeightedScore({name: 1 / len(self.scenarios) for name in self.scenarios}, self.scale)
 
-    def task(self, cells: int | None, window: int = 1, known: Sequence[CellAnswer] = ()) -> SearchTask:
+    def task(self, cells: int | None, window: int = 1) -> SearchTask:
         """Returns what a search is given."""
         start = np.empty((0, len(self.space.searched)), dtype=np.int64)
         if self.baseline is not None:
@@ -77,7 +77,7 @@ class EconomyProblem:
             self.region.repair,
             self.region.sample,
             start,
-            known,
+            (),
             cells,
             window,
         )

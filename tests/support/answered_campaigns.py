@@ -37,7 +37,7 @@ class Carried:
     sets: list[ParameterSet]
 
 
-def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end: bool = True) -> Carried:
+def carry_out(database: Database, campaign_id: str, individuals: int = 5) -> Carried:
     """Answers a first generation of `individuals` sets: individual i scores i % 8 in the first scenario and 3 in the others."""
     with database.transaction() as connection:
         campaign = campaigns.get(connection, campaign_id)
@@ -66,8 +66,7 @@ def carry_out(database: Database, campaign_id: str, individuals: int = 5, *, end
         )
         counts = CellCounts(proposed=cells, requested=cells, simulated=cells)
         campaigns.save_progress(connection, answered, {StageName.CALIBRATION: counts})
-        if end:
-            campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
+        campaigns.end(connection, campaign.sequence, CampaignState.SUCCEEDED)
         return Carried(campaigns.get(connection, campaign_id), problem, sets)
 
 

@@ -10,7 +10,6 @@ from tests.support.runs import EXPERT_SPACE, dispatcher
 from drivecal.api import submission
 from drivecal.campaigns.comparison import compared
 from drivecal.contracts.comparison import Comparison, ComparisonSpecification
-from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -45,11 +44,9 @@ def read_comparison(database: Database, tag: str) -> Comparison:
         return compared(connection, tag)
 
 
-def finish_comparison(
-    database: Database, tag: str, backend: ComputedBackend | None = None, working: Dispatcher | None = None
-) -> Comparison:
+def finish_comparison(database: Database, tag: str, backend: ComputedBackend | None = None) -> Comparison:
     """Works until all campaigns of a comparison have ended, successfully or not."""
-    working = working or dispatcher(database, backend or ComputedBackend())
+    working = dispatcher(database, backend or ComputedBackend())
     while not all(campaign.state.ended for campaign in runs_of(database, tag)):
         working.step()
     return read_comparison(database, tag)

@@ -12,10 +12,8 @@ from scipy.integrate import quad
 Floats = npt.NDArray[np.float64]
 
 
-def _number(element: ET.Element, key: str, default: str | None = None) -> float:
-    value = element.get(key, default)
-    assert value is not None, (element.tag, key)
-    return float(value)
+def _number(element: ET.Element, key: str) -> float:
+    return float(element.attrib[key])
 
 
 def _cubic(element: ET.Element, ds: float, names: Iterable[str] = "abcd") -> float:
@@ -116,12 +114,12 @@ def roads(content: bytes) -> list[RoadFile]:
     return [RoadFile(element) for element in ET.fromstring(content).findall("road")]
 
 
-def lane_centres(content: bytes, kinds: frozenset[str], step: float = 1.0) -> dict[tuple[str, float, int], Floats]:
+def lane_centres(content: bytes, kinds: frozenset[str]) -> dict[tuple[str, float, int], Floats]:
     """Points of the centre of each lane of some types, by road, begin of the section and lane, where it is wider than a hand."""
     centres: dict[tuple[str, float, int], Floats] = {}
     for road in roads(content):
         for begin, end, section in road.sections():
-            stations = np.linspace(begin, end, max(2, int((end - begin) / step) + 1))
+            stations = np.linspace(begin, end, max(2, int(end - begin) + 1))
             for lane in section.iter("lane"):
                 if lane.get("type") in kinds and lane.get("id") != "0":
                     index = int(lane.get("id", "0"))

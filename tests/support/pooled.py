@@ -25,10 +25,10 @@ TAGS = ("a", "b", "c", "test", "others", "campaign-7")
 """All that these tests use."""
 
 
-def drain(pool: WorkPool, patience: int = 100_000) -> list[Completed]:
+def drain(pool: WorkPool) -> list[Completed]:
     """All answers; goes on while the database does not answer."""
     completed: list[Completed] = []
-    for _ in range(patience):
+    for _ in range(100_000):
         if not any(pool.held(tag) for tag in TAGS):
             return completed
         with suppress(UnavailableError):

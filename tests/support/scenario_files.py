@@ -63,10 +63,10 @@ def absolute(value: object) -> str:
     return f'<AbsoluteTargetSpeed value="{value}"/>'
 
 
-def change_of_lane(target: str, value: object = 3, dimension: str = "time", shape: str = "sinusoidal") -> str:
+def change_of_lane(target: str, value: object = 3, dimension: str = "time") -> str:
     """A <LateralAction>."""
     return (
-        f'<LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}" '
+        f'<LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="sinusoidal" dynamicsDimension="{dimension}" '
         f'value="{value}"/><LaneChangeTarget>{target}</LaneChangeTarget></LaneChangeAction></LateralAction>'
     )
 

@@ -55,13 +55,13 @@ class KillablePostgres:
         postmaster = psutil.Process(self._server.get_pid())
         return [*postmaster.children(recursive=True), postmaster]
 
-    def kill_in_a_commit(self, seconds: float = 20.0) -> bool:
-        """Kills the server while a connection of drivecal commits, or after `seconds` without a commit. Returns whether a commit ran."""
+    def kill_in_a_commit(self) -> bool:
+        """Kills the server while a connection of drivecal commits, or after 20 s without a commit. Returns whether a commit ran."""
         committing = (
             "SELECT count(*) FROM pg_stat_activity"
             " WHERE application_name LIKE 'drivecal%' AND state = 'active' AND upper(query) LIKE 'COMMIT%'"
         )
-        deadline = time.monotonic() + seconds
+        deadline = time.monotonic() + 20.0
         with suppress(psycopg.OperationalError), psycopg.connect(self.url, autocommit=True) as connection:
             while time.monotonic() < deadline:
                 if connection.execute(committing).fetchone() != (0,):

@@ -22,10 +22,9 @@ START_SECONDS = 60.0
 class RayHead:
     """The head, in a cage: found and ended by parentage, never by `ray stop`, which would end every Ray of the machine."""
 
-    def __init__(self, folder: Path, cpus: int) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._port = free_port()
-        self._cpus = cpus
         self._cage: subprocess.Popen[bytes] | None = None
         self.address = f"127.0.0.1:{self._port}"
         self.environment = {
@@ -37,7 +36,7 @@ class RayHead:
     def start(self) -> None:
         """Starts it and waits until it can be joined."""
         command = [str(Path(sys.executable).with_name("ray")), "start", "--head", "--block", "--include-dashboard=false"]
-        command += ["--node-ip-address=127.0.0.1", f"--port={self._port}", f"--num-cpus={self._cpus}", "--disable-usage-stats"]
+        command += ["--node-ip-address=127.0.0.1", f"--port={self._port}", "--num-cpus=2", "--disable-usage-stats"]
         command += [f"--dashboard-agent-listen-port={free_port()}"]
         command += [f"--temp-dir={tempfile.mkdtemp(dir=self._folder)}", f"--object-store-memory={80 * 2**20}"]
         log_file = self._folder / "log"
@@ -75,10 +74,10 @@ class RayHead:
 
 
 @contextmanager
-def ray_head(cpus: int = 2) -> Iterator[RayHead]:
+def ray_head() -> Iterator[RayHead]:
     """A head that runs; its folder, near the root because Ray's sockets lie deep in it, is gone afterwards."""
     folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))
-    head = RayHead(folder, cpus)
+    head = RayHead(folder)
     try:
         head.start()
         yield head

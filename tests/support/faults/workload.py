@@ -89,7 +89,7 @@ def submit(url: str, documents: Mapping[str, Mapping[str, Any]] | None = None) -
 
 
 @contextmanager
-def single_evaluations(url: str, accepted: Accepted, pause: float = 1.0) -> Iterator[None]:
+def single_evaluations(url: str, accepted: Accepted) -> Iterator[None]:
     """Posts single evaluations during the block, each twice with one key, and notes the accepted ones."""
     stop = threading.Event()
 
@@ -110,7 +110,7 @@ def single_evaluations(url: str, accepted: Accepted, pause: float = 1.0) -> Iter
                     accepted.evaluations.setdefault(key, []).append(answer.json()["id"])
                 elif answer.status_code not in {429, 503} or "Retry-After" not in answer.headers:
                     accepted.refused.append(f"{answer.status_code} {answer.text}")
-            stop.wait(pause)
+            stop.wait(1.0)
 
     thread = threading.Thread(target=work)
     thread.start()

@@ -15,8 +15,8 @@ LATER = 9
 """An iteration behind the last one."""
 
 
-def copied(number: int, score: int, *, own: bool = False, iteration: int = 0) -> CellScore:
-    return CellScore(number, "S1", score, float(score), own, iteration, number)
+def copied(number: int, score: int, *, own: bool = False) -> CellScore:
+    return CellScore(number, "S1", score, float(score), own, 0, number)
 
 
 def confirmed(answers: list[CellScore], truth: dict[int, int | None], limit: int) -> tuple[Ranking, Confirming]:

@@ -48,8 +48,8 @@ def planner_of(weights: dict[str, float]) -> LotPlanner:
     return LotPlanner(view, SPACE, ReductionSpecification(mode="predicted"), weights, 200)
 
 
-def nets(served: list[StoredLot], ahead: tuple[float, float] = AHEAD, known: int = 1000, seconds: float = SECONDS) -> float:
-    saved, cost = expected_saving(served, known, ahead, PARAMETERS, seconds)
+def nets(served: list[StoredLot], ahead: tuple[float, float] = AHEAD, known: int = 1000) -> float:
+    saved, cost = expected_saving(served, known, ahead, PARAMETERS, SECONDS)
     return saved - cost
 
 

@@ -22,9 +22,9 @@ CURVE = [f"k{number}" for number in range(8)]
 MONOTONE = " >= ".join(CURVE)
 
 
-def grids(names: list[str], upper: float = 2, step: str | None = "0.02") -> ParameterSpace:
+def grids(names: list[str], step: str | None = "0.02") -> ParameterSpace:
     size = None if step is None else Decimal(step)
-    return ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(str(upper)), size) for name in names))
+    return ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(2), size) for name in names))
 
 
 def region_of(space: ParameterSpace, *texts: str) -> FeasibleRegion:

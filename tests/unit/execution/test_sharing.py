@@ -20,8 +20,8 @@ def scheduler() -> Scheduler:
     return made
 
 
-def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: int = 0, *, exclusive: bool = False) -> None:
-    to.add(Work(setup(), cells(len(values), first, values), exclusive=exclusive), tag, priority)
+def add(to: Scheduler, tag: str, first: int, values: Sequence[float], priority: int = 0) -> None:
+    to.add(Work(setup(), cells(len(values), first, values)), tag, priority)
 
 
 def finish(of: Scheduler, sent: Dispatch) -> list[Completed]:

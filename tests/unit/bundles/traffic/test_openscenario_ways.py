@@ -52,7 +52,7 @@ FOLLOW = (
 )
 STORY = (
     '<Story name="s"><Act name="a"><ManeuverGroup name="g" maximumExecutionCount="1"><Actors selectTriggeringEntities="false">{actors}'
-    "</Actors>{content}</ManeuverGroup>{trigger}</Act></Story>"
+    "</Actors>{content}</ManeuverGroup></Act></Story>"
 )
 MEET = (
     '<Maneuver name="m"><Event name="e" priority="override"><Action name="x"><PrivateAction><SynchronizeAction masterEntityRef="Ego">'
@@ -84,8 +84,8 @@ def moved(position: str) -> str:
     return f"<PrivateAction><TeleportAction>{position}</TeleportAction></PrivateAction>"
 
 
-def acting(actor: str, content: str, trigger: str = "") -> str:
-    return STORY.format(actors=f'<EntityRef entityRef="{actor}"/>' if actor else "", content=content, trigger=trigger)
+def acting(actor: str, content: str) -> str:
+    return STORY.format(actors=f'<EntityRef entityRef="{actor}"/>' if actor else "", content=content)
 
 
 def along_road(x: float, y: float) -> tuple[float, float]:

@@ -10,10 +10,10 @@ from drivecal.highway.comfort.rocket import LENGTH
 from drivecal.plugins.ports import Floats
 
 
-def some_series(seed: int, length: int = LENGTH) -> rocket.Integers:
+def some_series(seed: int) -> rocket.Integers:
     """Six channels that drift, as a run's do; some of them at the largest value."""
     rng = np.random.default_rng(seed)
-    walk = np.cumsum(rng.normal(0.0, 60.0, (6, length)), axis=1)
+    walk = np.cumsum(rng.normal(0.0, 60.0, (6, LENGTH)), axis=1)
     return np.clip(np.rint(walk), -2047, 2047).astype(np.int32)
 
 

@@ -17,9 +17,9 @@ def action(**trigger: Any) -> CutIn:
     return CutIn.model_validate({"do": "cut_in", "lane": 0} | trigger)
 
 
-def fired(trigger: CutIn, moments: Sequence[Moment], events: Events | None = None) -> list[int]:
+def fired(trigger: CutIn, moments: Sequence[Moment]) -> list[int]:
     """Returns the steps with a due action of `other`."""
-    watch, happened = Watch("other", trigger, STEP), events or Events()
+    watch, happened = Watch("other", trigger, STEP), Events()
     return [index for index, moment in enumerate(moments) if watch.is_due(moment, happened)]
 
 

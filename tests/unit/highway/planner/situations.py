@@ -51,11 +51,10 @@ def vehicle(s: float, lane: float, speed: float, drift: float = 0.0, length: flo
 
 
 def seen(
-    *neighbours: list[float], time: float = 0.0, s: float = 100.0, s1: float = 30.0, s2: float = 0.0, d: float = LANE,
-    d1: float = 0.0, d2: float = 0.0,
-) -> Observation:  # fmt: skip
+    *neighbours: list[float], time: float = 0.0, s: float = 100.0, s1: float = 30.0, d: float = LANE, d1: float = 0.0
+) -> Observation:
     """An observation; the ego vehicle in the middle lane at 30 m/s where nothing else is said."""
-    return Observation(time, np.array([s, s1, s2, d, d1, d2]), np.array(neighbours, dtype=float).reshape(-1, 6))
+    return Observation(time, np.array([s, s1, 0.0, d, d1, 0.0]), np.array(neighbours, dtype=float).reshape(-1, 6))
 
 
 def random_parameters(random: np.random.Generator) -> list[float]:

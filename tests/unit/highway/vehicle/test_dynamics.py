@@ -18,8 +18,8 @@ CORNERS = [SingleTrackParameters(*corner) for corner in itertools.product(*((p.m
 boxes = st.builds(SingleTrackParameters, *(st.floats(parameter.minimum, parameter.maximum) for parameter in TABLE_8))
 
 
-def state_at(speed: float, steering_angle: float = 0.0, heading: float = 0.0) -> Floats:
-    return np.array([0.0, 0.0, heading, speed, 0.0, 0.0, 0.0, 0.0, steering_angle])
+def state_at(speed: float, steering_angle: float = 0.0) -> Floats:
+    return np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0, steering_angle])
 
 
 def run(
