@@ -8,6 +8,7 @@ import sys
 import tempfile
 import textwrap
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -56,11 +57,19 @@ def test_grandchildren_end_with_a_failed_run(tmp_path: Path, mark: str, body: st
         assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
 
-LATE_KEEPER = """
-import sys
-sys.path.append({root!r})
-from drivecal.adapters import keeper
+@pytest.fixture
+def change_keepers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Keepers begin with a script, which changes the module `keeper`."""
 
+    def change(script: str) -> None:
+        root, file = str(Path(keeper.__file__).parents[2]), tmp_path / "changed_keeper.py"
+        file.write_text(f"import sys\nsys.path.append({root!r})\nfrom drivecal.adapters import keeper\n{script}\nkeeper.main()")
+        monkeypatch.setattr(keeper, "__file__", str(file))
+
+    return change
+
+
+LATE = """
 has_ended, missed = keeper._has_ended, set()
 
 def asked_too_early(child):
@@ -71,14 +80,11 @@ def asked_too_early(child):
     return ended
 
 keeper._has_ended = asked_too_early
-keeper.main()
 """
 
 
-def test_a_child_that_ends_between_two_looks_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    late = tmp_path / "late_keeper.py"
-    late.write_text(LATE_KEEPER.format(root=str(Path(keeper.__file__).parents[2])))
-    monkeypatch.setattr(keeper, "__file__", str(late))
+def test_a_child_that_ends_between_two_looks_is_reported(tmp_path: Path, change_keepers: Callable[[str], None]) -> None:
+    change_keepers(LATE)
     with served(tmp_path, "if x == 1.0:\n    os._exit(3)") as session:
         for _ in range(2):
             assert "exit code 3" in lost(session, {"x": 1.0}, Breakdown.CRASH)
@@ -102,22 +108,10 @@ def test_a_child_that_ignores_signals_ends(tmp_path: Path, mark: str) -> None:
         assert running(mark) == []
 
 
-PATIENT_KEEPER = """
-import sys
-sys.path.append({root!r})
-from drivecal.adapters import keeper
-
-keeper.GRACE_SECONDS = 20.0
-keeper.main()
-"""
-
-
 @pytest.fixture
-def patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def patient(change_keepers: Callable[[str], None]) -> None:
     """Keepers wait longer for the end of a child, whatever else the machine does."""
-    file = tmp_path / "patient_keeper.py"
-    file.write_text(PATIENT_KEEPER.format(root=str(Path(keeper.__file__).parents[2])))
-    monkeypatch.setattr(keeper, "__file__", str(file))
+    change_keepers("keeper.GRACE_SECONDS = 20.0")
 
 
 CLEANING = """
