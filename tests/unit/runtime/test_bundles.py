@@ -46,30 +46,8 @@ while True:
 
 
 @dataclass
-class ScriptedSimulator:
-    """Answers with the measure `a` unless `answers` has another outcome for this value of x."""
-
-    answers: Mapping[float, RunOutcome | NoMeasuresError] = field(default_factory=dict)
-    opened: list[str] = field(default_factory=list)
-    closed: list[str] = field(default_factory=list)
-    seeds: list[int] = field(default_factory=list)
-    version: str = "1"
-
-    def open(
-        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
-    ) -> SimulatorSession:
-        assert section["kind"] in {"process", "highway"}
-        assert (declared.measures, declared.parameters) == (("a",), {"x": "m/s"})
-        if data.get("missing"):
-            raise UnavailableError("there is no such program")
-        assert (folder / "problem.yaml").is_file()
-        self.opened.append(scenario)
-        return ScriptedSession(self, scenario)
-
-
-@dataclass
 class ScriptedSession:
-    simulator: ScriptedSimulator
+    simulator: "ScriptedSimulator"
     scenario: str
 
     def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
@@ -83,6 +61,29 @@ class ScriptedSession:
 
     def close(self) -> None:
         self.simulator.closed.append(self.scenario)
+
+
+@dataclass
+class ScriptedSimulator:
+    """Answers with the measure `a` unless `answers` has another outcome for this value of x."""
+
+    answers: Mapping[float, RunOutcome | NoMeasuresError] = field(default_factory=dict)
+    opened: list[str] = field(default_factory=list)
+    closed: list[str] = field(default_factory=list)
+    seeds: list[int] = field(default_factory=list)
+    version: str = "1"
+    session: type[ScriptedSession] = ScriptedSession
+
+    def open(
+        self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
+    ) -> SimulatorSession:
+        assert section["kind"] in {"process", "highway"}
+        assert (declared.measures, declared.parameters) == (("a",), {"x": "m/s"})
+        if data.get("missing"):
+            raise UnavailableError("there is no such program")
+        assert (folder / "problem.yaml").is_file()
+        self.opened.append(scenario)
+        return self.session(self, scenario)
 
 
 def test_measures_come_back_with_the_childrens_cpu_time(worker: Callable[..., Worker], request_: SetupRequest) -> None:
@@ -155,10 +156,6 @@ def test_a_simulator_that_this_machine_lacks_is_refused(worker: Callable[..., Wo
     assert result.refusal == "there is no such program"
 
 
-def full_disk() -> OSError:
-    return OSError(errno.ENOSPC, "No space left on device")
-
-
 def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
     tmp_path: Path, worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,16 +176,11 @@ def test_a_session_whose_folder_is_spoilt_is_opened_again(worker: Callable[..., 
     class Spoilt(ScriptedSession):
         def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
             if len(self.simulator.opened) in faulty:
-                raise full_disk()
+                raise OSError(errno.ENOSPC, "No space left on device")
             return super().evaluate(*arguments, **options)
 
-    class SpoiltSimulator(ScriptedSimulator):
-        def open(self, *arguments: Any) -> SimulatorSession:
-            super().open(*arguments)
-            return Spoilt(self, "city")
-
     faulty = {1}
-    simulator = SpoiltSimulator()
+    simulator = ScriptedSimulator(session=Spoilt)
     works = worker(simulator)
     (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
@@ -225,12 +217,8 @@ def test_a_checked_cell_runs_twice_to_find_noise(worker: Callable[..., Worker], 
         def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
             return next(outcomes)
 
-    class NoisySimulator(ScriptedSimulator):
-        def open(self, *_: Any) -> SimulatorSession:
-            return Noisy(self, "city")
-
     begun: list[int] = []
-    works = worker(NoisySimulator(), begins=begun.append)
+    works = worker(ScriptedSimulator(session=Noisy), begins=begun.append)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
     assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
@@ -245,11 +233,7 @@ def test_whole_numbers_are_sent_as_such(worker: Callable[..., Worker], request_:
             sent.append(parameters)
             return super().evaluate(parameters, series=series, seed=seed)
 
-    class ListeningSimulator(ScriptedSimulator):
-        def open(self, *_: Any) -> SimulatorSession:
-            return Listening(self, "city")
-
-    works = worker(ListeningSimulator())
+    works = worker(ScriptedSimulator(session=Listening))
     works.run(Batch(replace(request_, parameters=("x", "n"), integers=("n",)), (Cell(1, {"x": 2.0, "n": 3.0}),)))
     assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
@@ -351,11 +335,7 @@ def test_a_waiting_run_reports_its_wall_clock_time(worker: Callable[..., Worker]
             time.sleep(0.5)
             return RunOutcome({"a": 1.0}, start_seconds=1000.0 if is_start else 0.0)
 
-    class SleepingSimulator(ScriptedSimulator):
-        def open(self, *_: Any) -> SimulatorSession:
-            return Sleeping(self, "city")
-
-    works = worker(SleepingSimulator())
+    works = worker(ScriptedSimulator(session=Sleeping))
     for is_start in (False, True):
         (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
         assert result.wall_milliseconds is not None

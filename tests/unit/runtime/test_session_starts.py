@@ -81,12 +81,7 @@ def test_a_lost_simulator_refuses(worker: Callable[..., Worker], request_: Setup
                 raise kind("SUMO has another version")
             return super().evaluate(parameters, series=series, seed=seed)
 
-    class UpgradedSimulator(ScriptedSimulator):
-        def open(self, *arguments: Any) -> SimulatorSession:
-            super().open(*arguments)
-            return Upgraded(self, "city")
-
-    simulator = UpgradedSimulator()
+    simulator = ScriptedSimulator(session=Upgraded)
     works = worker(simulator)
     refused = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))))
     assert [(answer.id, answer.metrics) for answer in refused.results] == [(1, {"a": 1.0}), (2, {"a": 2.0})]
@@ -107,12 +102,7 @@ def test_a_refused_check_keeps_the_outcome(worker: Callable[..., Worker], reques
                 raise fault
             return super().evaluate(parameters, series=series, seed=seed)
 
-    class OnceSimulator(ScriptedSimulator):
-        def open(self, *arguments: Any) -> SimulatorSession:
-            super().open(*arguments)
-            return Once(self, "city")
-
-    simulator = OnceSimulator()
+    simulator = ScriptedSimulator(session=Once)
     works = worker(simulator)
     answered = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}, check=True) for number in range(1, 4))))
     assert [(answer.metrics, answer.repeats) for answer in answered.results] == [({"a": float(x)}, None) for x in range(1, 4)]
