@@ -3,15 +3,13 @@
 import logging
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import pytest
+from tests.support.scripted import Answer, Request, listening
 from tests.support.serve import serving
 
 from drivecal.client import Client
@@ -34,22 +32,13 @@ def receiver() -> Iterator[tuple[str, list[bytes]]]:
     """An OTLP receiver over HTTP: its address, and what was posted to it."""
     received: list[bytes] = []
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            assert self.path == "/v1/traces"
-            received.append(self.rfile.read(int(self.headers["Content-Length"])))
-            self.send_response(200)
-            self.end_headers()
+    def answer(request: Request) -> Answer:
+        assert request[1] == "/v1/traces"
+        received.append(request[-1])
+        return 200, {}, b""
 
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield f"http://127.0.0.1:{server.server_port}", received
-    finally:
-        server.shutdown()
+    with listening(answer) as address:
+        yield address, received
 
 
 @pytest.mark.packages

@@ -5,7 +5,6 @@ import logging
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 import pytest
@@ -13,6 +12,7 @@ from tests.support.deaths import InterceptedDatabase
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import store
 from tests.support.runs import dispatcher, get, step_until, submit
+from tests.support.scripted import Answer, Request, listening
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -32,29 +32,17 @@ from drivecal.storage.engine.database import Database
 
 
 @contextmanager
-def listening(*statuses: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def hooked(*statuses: int) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """A listener that answers with these statuses, then 204: its address with a secret, and what was posted to it."""
     posted: list[dict[str, Any]] = []
     answers = list(statuses)
 
-    class Listener(BaseHTTPRequestHandler):
-        def do_POST(self) -> None:
-            posted.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(answers.pop(0) if answers else 204)
-            self.send_header("Location", "/elsewhere")
-            self.end_headers()
+    def answer(request: Request) -> Answer:
+        posted.append(json.loads(request[-1]))
+        return answers.pop(0) if answers else 204, {"Location": "/elsewhere"}, b""
 
-        def log_message(self, *_: Any) -> None:
-            pass
-
-    with HTTPServer(("127.0.0.1", 0), Listener) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_port}/hook?secret=hunter2", posted
-        finally:
-            server.shutdown()
-            thread.join()
+    with listening(answer) as address:
+        yield f"{address}/hook?secret=hunter2", posted
 
 
 def end(database: Database, state: CampaignState = CampaignState.SUCCEEDED, error: str | None = None) -> str:
@@ -65,7 +53,7 @@ def end(database: Database, state: CampaignState = CampaignState.SUCCEEDED, erro
 
 
 def test_an_end_and_a_degradation_are_posted_once_each_with_attempts_until_they_are_taken(database: Database) -> None:
-    with listening(500, 302) as (url, posted):
+    with hooked(500, 302) as (url, posted):
         hook = Webhook(database, url, pauses=(0.0, 0.0))
         end(database)
         hook.post()
@@ -89,7 +77,7 @@ def test_an_end_and_a_degradation_are_posted_once_each_with_attempts_until_they_
 
 
 def test_what_is_not_marked_is_posted_again(database: Database) -> None:
-    with listening() as (url, posted):
+    with hooked() as (url, posted):
         Webhook(database, url).post()
         campaign = end(database)
 
@@ -106,7 +94,7 @@ def test_what_is_not_marked_is_posted_again(database: Database) -> None:
 
 def test_a_refusing_listener_holds_nothing_up_and_stays_secret(database: Database, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with listening(*[500] * 2) as (url, posted):
+    with hooked(*[500] * 2) as (url, posted):
         hook = Webhook(database, url, pauses=(0.0,))
         hook.post()
         given_up, taken = end(database), end(database)
@@ -121,7 +109,7 @@ def test_a_refusing_listener_holds_nothing_up_and_stays_secret(database: Databas
 
 @pytest.mark.slow
 def test_many_events_at_a_time_and_single_evaluations_hide_no_later_event(database: Database) -> None:
-    with listening() as (url, posted):
+    with hooked() as (url, posted):
         hook = Webhook(database, url)
         hook.post()
         for _ in range(110):
@@ -155,7 +143,7 @@ def test_posting_goes_on_after_an_unexpected_fault(database: Database, monkeypat
 def test_a_superseded_dispatcher_posts_and_logs_nothing(database: Database, caplog: pytest.LogCaptureFixture) -> None:
     before = database.fenced(Leadership.begin(database).fence)
     Leadership.begin(database)
-    with listening() as (url, posted), caplog.at_level(logging.INFO), Webhook(before, url):
+    with hooked() as (url, posted), caplog.at_level(logging.INFO), Webhook(before, url):
         for thread in threading.enumerate():
             if thread.name == "webhook":
                 thread.join()

@@ -2,7 +2,7 @@
 
 import json
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -13,6 +13,8 @@ from drivecal.contracts.campaign import Campaign
 
 Answer = tuple[int, dict[str, str], bytes]
 """Status, headers, body."""
+Request = tuple[str, str, dict[str, str], bytes]
+"""Method, path, headers with names in small letters, body."""
 
 
 @dataclass
@@ -20,19 +22,18 @@ class Script:
     """The answers to give, one after the other, and the requests that came."""
 
     answers: list[Answer]
-    requests: list[tuple[str, str, dict[str, str], bytes]] = field(default_factory=list)
+    requests: list[Request] = field(default_factory=list)
 
 
 @contextmanager
-def server(*answers: Answer) -> Iterator[tuple[Client, Script]]:
-    script = Script(list(answers))
+def listening(answer: Callable[[Request], Answer]) -> Iterator[str]:
+    """Serves what `answer` returns for each request; yields the address."""
 
     class Handler(BaseHTTPRequestHandler):
         def reply(self) -> None:
             body = self.rfile.read(int(self.headers.get("content-length", 0)))
             headers = {name.lower(): value for name, value in self.headers.items()}
-            script.requests.append((self.command, self.path, headers, body))
-            status, wanted, content = script.answers.pop(0)
+            status, wanted, content = answer((self.command, self.path, headers, body))
             self.send_response(status)
             for name, value in wanted.items():
                 self.send_header(name, value)
@@ -49,12 +50,23 @@ def server(*answers: Answer) -> Iterator[tuple[Client, Script]]:
     thread = threading.Thread(target=http.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
     try:
-        with Client(f"http://127.0.0.1:{http.server_port}/") as client:
-            yield client, script
+        yield f"http://127.0.0.1:{http.server_port}"
     finally:
         http.shutdown()
         thread.join()
         http.server_close()
+
+
+@contextmanager
+def server(*answers: Answer) -> Iterator[tuple[Client, Script]]:
+    script = Script(list(answers))
+
+    def answer(request: Request) -> Answer:
+        script.requests.append(request)
+        return script.answers.pop(0)
+
+    with listening(answer) as address, Client(f"{address}/") as client:
+        yield client, script
 
 
 def problem(status: int, detail: str = "it does not fit", errors: list[dict[str, str]] | None = None) -> Answer:
