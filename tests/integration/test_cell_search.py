@@ -13,7 +13,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import dispatcher, everything, finish, get, run, submit
+from tests.support.runs import everything, get, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
@@ -35,9 +35,7 @@ def _plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCampaign:
-    campaign = submit(database, **changes)
-    finish(database, campaign, dispatcher(database, ComputedBackend(seed)))
-    return get(database, campaign)
+    return run(database, submit(database, **changes), ComputedBackend(seed))
 
 
 def test_a_budget_is_used_up_exactly_and_cells_of_sets_that_cannot_win_are_in_no_sum(database: Database) -> None:

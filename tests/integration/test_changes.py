@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import dispatcher, finish, rows_of
+from tests.support.runs import rows_of, run
 from tests.support.values import present
 
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import InvalidInputError
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -44,9 +43,7 @@ def database(database: Database) -> Database:
 
 
 def carried_out(database: Database, **changes: Any) -> StoredCampaign:
-    ended = finish(database, submit_checked(database, SPEC | changes), dispatcher(database, ComputedBackend(driven=driven)))
-    assert ended.state is CampaignState.SUCCEEDED, ended.error
-    return ended
+    return run(database, submit_checked(database, SPEC | changes), ComputedBackend(driven=driven))
 
 
 @pytest.mark.slow

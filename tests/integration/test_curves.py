@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import dispatcher, finish
+from tests.support.runs import run
 
 from drivecal.api.dependencies import Limits
 from drivecal.api.results.document import results_of, setup_of
@@ -22,7 +22,6 @@ from drivecal.cli.views.output import print_results, print_solutions
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
-from drivecal.domain.campaigns import CampaignState
 from drivecal.storage.engine.database import Database
 from drivecal.storage.results import answers
 
@@ -80,8 +79,7 @@ def database(database: Database) -> Database:
 def test_results_show_curves_with_the_range_of_good_sets(database: Database, capsys: pytest.CaptureFixture[str]) -> None:
     wanted: dict[str, Any] = {"problem": "curved", "optimizer": {"kind": "surrogate", "seed": 1}, "variants": {"eu": {}}}
     wanted |= {"budget": {"simulations": 60}}
-    ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
-    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    ended = run(database, submit_checked(database, wanted), ComputedBackend(driven=driven))
     with mock.patch("drivecal.storage.results.answers", wraps=answers) as reads:
         results = results_of(StoredRanking.of(database, ended))
     assert reads.call_count == 1, "curves and variants are of one ranking"
@@ -123,6 +121,5 @@ def test_maps_and_predictions_answer_cells_of_curves(database: Database, answere
     store(database, MANIFEST | {"parameters": MANIFEST["parameters"] | {"gain": coarse}})
     search = {"kind": "genetic", "population": 160, "iterations": 3, "seed": 1}
     wanted = {"problem": "curved", "optimizer": search, **changes}
-    ended = finish(database, submit_checked(database, wanted), dispatcher(database, ComputedBackend(driven=driven)))
-    assert ended.state is CampaignState.SUCCEEDED, ended.error
+    ended = run(database, submit_checked(database, wanted), ComputedBackend(driven=driven))
     assert getattr(ended.cells, answered) > 0

@@ -10,7 +10,7 @@ from sqlalchemy import select
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
-from tests.support.runs import SMALL, dispatcher, everything, finish, request, submit
+from tests.support.runs import SMALL, dispatcher, everything, finish, get, request, submit
 from tests.support.values import present
 
 from drivecal.api.responses import campaign_answer
@@ -31,8 +31,7 @@ from drivecal.storage.engine.types import now
 
 
 def _get(database: Database, campaign: StoredCampaign) -> StoredCampaign:
-    with database.read() as connection:
-        result = campaigns.get(connection, campaign.id)
+    result = get(database, campaign)
     counts = result.cells
     assert counts.proposed == counts.carried_over + counts.pending + counts.requested
     answered = counts.repeated + counts.reused + counts.simulated + counts.failed

@@ -20,7 +20,7 @@ from tests.support.databases import migrated
 from tests.support.deaths import Killed
 from tests.support.documentation import DOCS, blocks
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import dispatcher, everything, finish, get, rows_of
+from tests.support.runs import dispatcher, everything, finish, get, rows_of, run
 from tests.support.values import faults_of, present
 
 from drivecal.analysis.robustness import directions, vehicles
@@ -76,8 +76,7 @@ def database(tmp_path: Path) -> Database:
 def carried_out(
     database: Database, order: int = 0, driven: Callable[[Any, Cell], CellResult] = noisy, **changes: Any
 ) -> StoredCampaign:
-    campaign = submit_checked(database, SPEC | changes)
-    return finish(database, campaign, dispatcher(database, ComputedBackend(order, driven=driven)))
+    return run(database, submit_checked(database, SPEC | changes), ComputedBackend(order, driven=driven))
 
 
 @pytest.mark.slow
@@ -194,7 +193,7 @@ def test_an_outside_optimizer_gets_its_replicates_with_their_seeds(database: Dat
     with database.transaction() as connection:
         outside_sets.add(connection, campaign, [OutsideSet("a", [10], None, 3), OutsideSet("b", [20], ["city"])])
         outside_sets.finish(connection, campaign)
-    finish(database, campaign, dispatcher(database, ComputedBackend(0, driven=noisy)))
+    run(database, campaign, ComputedBackend(driven=noisy))
     with database.read() as connection:
         answers = outside_answers.after(connection, campaign, 0, 100)
     expected = [("a", scenario, seed) for scenario in ("city", "road") for seed in (1, 2, 3)] + [("b", "city", 1)]
