@@ -19,7 +19,7 @@ from tests.support.effort import examples
 from drivecal.highway.comfort import learned, regressions
 from drivecal.highway.comfort.learned import LEARNED, Learned
 from drivecal.highway.comfort.reference import Manoeuvre
-from drivecal.highway.comfort.regressions import Regression, arrays_of, shipped
+from drivecal.highway.comfort.regressions import arrays_of, shipped
 from drivecal.highway.comfort.rocket import LENGTH, MIRROR, channels_of, features_of, rating_of
 from drivecal.highway.training import comfort
 from drivecal.highway.training.rated_drives import synthetic
@@ -198,7 +198,4 @@ def test_arrays_that_do_not_fit_together_never_reach_the_kernels(tmp_path: Path,
 def test_a_channel_that_does_not_exist_never_reaches_the_kernels() -> None:
     regression = shipped()[Manoeuvre.SPEED_CHANGE]
     with pytest.raises(ValueError, match="channels"):
-        Regression(
-            **{field: getattr(regression, field) for field in regression.__dataclass_fields__}
-            | {"channels": regression.channels + 5}
-        )
+        replace(regression, channels=regression.channels + 5)

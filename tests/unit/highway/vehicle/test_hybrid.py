@@ -132,14 +132,8 @@ def test_whatever_the_vehicle_of_table_8_a_lane_change_goes_well(
 
 def test_the_residual_of_a_vehicle_is_scaled_by_its_loads() -> None:
     """A vehicle twice as heavy in everything moves alike."""
-    heavy = SingleTrackParameters(
-        2.0 * NOMINAL.mass,
-        2.0 * NOMINAL.cornering_stiffness_front,
-        2.0 * NOMINAL.cornering_stiffness_rear,
-        NOMINAL.distance_front,
-        NOMINAL.distance_rear,
-        2.0 * NOMINAL.yaw_inertia,
-    )
+    loads = ("mass", "cornering_stiffness_front", "cornering_stiffness_rear", "yaw_inertia")
+    heavy = replace(NOMINAL, **{name: 2.0 * getattr(NOMINAL, name) for name in loads})
     state = np.array([0.0, 0.0, 0.0, 30.0, -0.01, 0.05, 0.0, 0.0, 0.02, 0.0])
     here = single_track.residual_accelerations(state, 0.01, 0.5, packed(shipped()))
     there = single_track.residual_accelerations(state, 0.01, 0.5, packed(shipped(), heavy))
