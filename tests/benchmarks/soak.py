@@ -23,6 +23,7 @@ from pathlib import Path
 from statistics import median
 
 import psutil
+from scipy.stats import theilslopes
 
 from drivecal.cli.commands.demo import coordinator
 from drivecal.client import Client
@@ -223,27 +224,18 @@ def kill_a_worker() -> int:
 
 
 def verdicts(course: Course, seconds: float) -> list[dict[str, float | str]]:
-    """Returns the median, the slope per hour and the verdict of every value."""
+    """Returns the median, the slope per hour (Theil and Sen: single peaks do not move it) and the verdict of every value."""
     rows: list[dict[str, float | str]] = []
     for (of, unit), points in sorted(course.values.items()):
         later = [(moment, value) for moment, value in points if moment >= SETTLING * seconds]
         if len(later) < 2:
             continue
-        usual, slope = median(value for _, value in later), theil_sen(later)
+        moments, values = zip(*later[:: max(1, len(later) // 300)], strict=True)
+        usual, slope = median(value for _, value in later), float(theilslopes(values, moments).slope)
         grown = slope * (1 - SETTLING) * seconds
         flat = grown <= max(SHARE * usual, FLOORS[unit])
         rows.append({"of": of, "unit": unit, "median": usual, "per_hour": 3600 * slope, "verdict": "flat" if flat else "grows"})
     return rows
-
-
-def theil_sen(points: list[tuple[float, float]]) -> float:
-    """Returns the median slope of all pairs of points, which single peaks do not move."""
-    thinned = points[:: max(1, len(points) // 300)]
-    return median(
-        (later - earlier) / (after - before)
-        for position, (before, earlier) in enumerate(thinned)
-        for after, later in thinned[position + 1 :]
-    )
 
 
 if __name__ == "__main__":

@@ -22,12 +22,8 @@ SIZE = np.array([2.5, 1.0])
 VERGE = 0.5
 
 
-def line_with_directions(road: RoadDesign) -> np.ndarray:
-    line = line_of(road)
-    return np.column_stack([line, np.cos(line[:, 3]), np.sin(line[:, 3])])
-
-
-LINE = line_with_directions(CURVE)
+DESIGNED = line_of(CURVE)
+LINE = np.column_stack([DESIGNED, np.cos(DESIGNED[:, 3]), np.sin(DESIGNED[:, 3])])
 
 
 def lanes_of(*centres: float, width: float = 3.5, limit: float = 30.0) -> np.ndarray:
