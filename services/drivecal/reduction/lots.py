@@ -8,6 +8,7 @@ predictor and every drift, because chance comes from the sample alone. Expected 
 
 import hashlib
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -120,14 +121,9 @@ def smallest_plan(size: int, limit: float, acceptance: int) -> SamplingPlan:
     step = 8
     while few + step < size and not _keeps(SamplingPlan(size, few + step, acceptance), limit):
         few, step = few + step, 2 * step
-    enough = min(few + step, size)  # a whole lot in the sample releases no error
-    while enough - few > 1:
-        middle = (few + enough) // 2
-        if _keeps(SamplingPlan(size, middle, acceptance), limit):
-            enough = middle
-        else:
-            few = middle
-    return SamplingPlan(size, enough, acceptance)
+    samples = range(few + 1, min(few + step, size))  # a whole lot in the sample releases no error
+    place = bisect_left(samples, x=True, key=lambda sample: _keeps(SamplingPlan(size, sample, acceptance), limit))
+    return SamplingPlan(size, few + 1 + place, acceptance)
 
 
 def best_plan(size: int, limit: float, error_rate: float) -> SamplingPlan:
