@@ -5,7 +5,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -152,13 +152,8 @@ def _checked(
     manifest, declared = next(iter(benches.values())).bundle.manifest, Declared.of(setup, watched=True)
     scenario, section = setup.scenario, setup.simulator
 
-    @contextmanager
-    def opened() -> Iterator[SimulatorSession]:
-        session = simulator_of(section).open(section, scenario, setup.data, folder, declared)
-        try:
-            yield session
-        finally:
-            session.close()
+    def opened() -> closing[SimulatorSession]:
+        return closing(simulator_of(section).open(section, scenario, setup.data, folder, declared))
 
     def run(session: SimulatorSession, values: Settings, *, series: bool) -> tuple[RunOutcome, float]:
         began = time.perf_counter()

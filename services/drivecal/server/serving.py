@@ -7,6 +7,7 @@ import os
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import closing, suppress
 from pathlib import Path
 
 from drivecal.cluster.homes import DATABASE_ENDINGS, remember
@@ -126,11 +127,10 @@ def run_server(settings: Settings, listener: socket.socket, url: str, ready: Cal
 
 
 def _answers(url: str) -> bool:
-    connection = http.client.HTTPConnection(url.removeprefix("http://"), timeout=PROBE_SECONDS)
-    try:
+    with (
+        closing(http.client.HTTPConnection(url.removeprefix("http://"), timeout=PROBE_SECONDS)) as connection,
+        suppress(OSError, http.client.HTTPException),
+    ):
         connection.request("GET", "/healthz")
         return connection.getresponse().status == http.client.OK
-    except (OSError, http.client.HTTPException):
-        return False
-    finally:
-        connection.close()
+    return False
