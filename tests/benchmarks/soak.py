@@ -15,12 +15,12 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from statistics import median
+from unittest import mock
 
 import psutil
 from scipy.stats import theilslopes
@@ -114,18 +114,11 @@ def write(course: Course, seconds: float) -> list[dict[str, float | str]]:
     return rows
 
 
-@contextmanager
-def _settings(folder: str, backend: str) -> Iterator[None]:
+def _settings(folder: str, backend: str) -> AbstractContextManager[object]:
     """Has the server keep its temporary files where they can be counted."""
     temporary = Path(folder) / "tmp"
     temporary.mkdir()
-    before = dict(os.environ)
-    os.environ |= {"TMPDIR": str(temporary), "DRIVECAL_BACKEND": backend}
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ |= before
+    return mock.patch.dict(os.environ, {"TMPDIR": str(temporary), "DRIVECAL_BACKEND": backend})
 
 
 def work(url: str, over: threading.Event, course: Course, number: int) -> None:

@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -217,13 +217,10 @@ class Machine:
 @contextmanager
 def cluster_on_engine(folder: Path) -> Iterator[Cluster]:
     """Built and started; gone when the block is left."""
-    running = Cluster(folder, settings={"DRIVECAL_ALLOW_PUSH": "true"})
-    try:
+    with closing(Cluster(folder, settings={"DRIVECAL_ALLOW_PUSH": "true"})) as running:
         begin = time.monotonic()
         running.compose("build", "--quiet")
         built = time.monotonic()
         running.up()
         print(f"built in {built - begin:.0f} s, ready {time.monotonic() - built:.0f} s later", flush=True)
         yield running
-    finally:
-        running.close()

@@ -8,8 +8,8 @@ import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -73,18 +73,13 @@ def write_script(path: Path, text: str) -> Path:
     return path
 
 
-@contextmanager
 def opened(
     kind: str, folder: Path, declared: Declared = DECLARED, data: Mapping[str, Any] = DATA, **section: Any
-) -> Iterator[SimulatorSession]:
+) -> closing[SimulatorSession]:
     """Opens a session of scenario `S`."""
     defaults = {"function": "evaluate"} if kind == "python" else {}
     settings = {"kind": kind, "timeout": 300.0, "memory_mb": 1000} | defaults | section
-    session = simulator_of(settings).open(settings, "S", data, folder, declared)
-    try:
-        yield session
-    finally:
-        session.close()
+    return closing(simulator_of(settings).open(settings, "S", data, folder, declared))
 
 
 def served(folder: Path, body: str = "", start: str = "", ending: str = "", **section: Any) -> Any:

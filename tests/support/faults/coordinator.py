@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import httpx
@@ -243,17 +243,12 @@ class Coordinator:
         raise AssertionError(f"no {' '.join(words)} runs")
 
 
-@contextmanager
 def coordinator(
     folder: Path, database_url: str | None = None, settings: Mapping[str, str] | None = None, plugins: Path | None = None
-) -> Iterator[Coordinator]:
+) -> closing[Coordinator]:
     """A server that is not started yet; whatever runs of it at the end is killed."""
     folder.mkdir(parents=True, exist_ok=True)
-    one = Coordinator(folder, database_url, settings, plugins)
-    try:
-        yield one
-    finally:
-        one.close()
+    return closing(Coordinator(folder, database_url, settings, plugins))
 
 
 @contextmanager

@@ -1,11 +1,10 @@
 """A PostgreSQL server that can be killed and started again on the same data, and whose commits take long enough to be hit."""
 
-import shutil
 import tempfile
 import time
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -84,12 +83,8 @@ class KillablePostgres:
 @contextmanager
 def killable_postgres() -> Iterator[KillablePostgres]:
     """A server of its own, in a folder that is gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix="drivecal-postgres-"))
-    try:
-        server = KillablePostgres(folder)
-        try:
-            yield server
-        finally:
-            server.close()
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with (
+        tempfile.TemporaryDirectory(prefix="drivecal-postgres-", ignore_cleanup_errors=True) as folder,
+        closing(KillablePostgres(Path(folder))) as server,
+    ):
+        yield server

@@ -1,13 +1,12 @@
 """A Ray cluster of one node on this machine that can be killed and started again at the same address."""
 
-import shutil
 import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import psutil
@@ -76,11 +75,9 @@ class RayHead:
 @contextmanager
 def ray_head() -> Iterator[RayHead]:
     """A head that runs; its folder, near the root because Ray's sockets lie deep in it, is gone afterwards."""
-    folder = Path(tempfile.mkdtemp(prefix="ray-", dir="/tmp"))
-    head = RayHead(folder)
-    try:
+    with (
+        tempfile.TemporaryDirectory(prefix="ray-", dir="/tmp", ignore_cleanup_errors=True) as folder,
+        closing(RayHead(Path(folder))) as head,
+    ):
         head.start()
         yield head
-    finally:
-        head.close()
-        shutil.rmtree(folder, ignore_errors=True)
