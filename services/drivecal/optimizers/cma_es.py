@@ -68,9 +68,7 @@ class CmaEs:
 
     def tell(self, objectives: Floats, tie_breakers: Floats) -> None:
         """The answers to the last `ask`. Raises RuntimeError if they were given already, ValueError if they do not fit."""
-        if self._told:
-            raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        answers = checked_answers(objectives, tie_breakers, len(self._changed))
+        answers = checked_answers(objectives, tie_breakers, len(self._changed), told=self._told)
         self._history.append(answers)
         order = ranking(*answers)
         if self._strategy is None:

@@ -116,9 +116,7 @@ class ReplacementOptimizer(ABC):
 
         Raises RuntimeError if they were given already, ValueError if there is no finite number or NaN per individual.
         """
-        if self._answers is not None:
-            raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        self._answers = checked_answers(objectives, tie_breakers, len(self._changed))
+        self._answers = checked_answers(objectives, tie_breakers, len(self._changed), told=self._answers is not None)
 
     def state(self) -> dict[str, Any]:
         """The state as data for strict JSON: individuals, what the last `ask` changed, their answers if known, the generator."""

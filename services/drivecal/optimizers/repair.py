@@ -27,8 +27,11 @@ def searchable(n_values: Indices) -> Indices:
     return n_values.astype(np.int64)
 
 
-def checked_answers(objectives: Floats, tie_breakers: Floats, count: int) -> tuple[Floats, Floats]:
-    """Copies of both. Raises ValueError if there is no finite number or NaN for each of `count` individuals."""
+def checked_answers(objectives: Floats, tie_breakers: Floats, count: int, *, told: bool) -> tuple[Floats, Floats]:
+    """Copies of both. Raises RuntimeError if the answers were `told` already, ValueError if there is no finite number or NaN for each of
+    `count` individuals."""
+    if told:
+        raise RuntimeError("the objectives of this population are known already; ask for the next one")
     for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):
         if values.shape != (count,) or np.isinf(values).any():
             raise ValueError(f"{name} must be {count} numbers, finite or NaN")

@@ -50,9 +50,7 @@ class ParticleSwarm:
 
         Raises RuntimeError if they were given already, ValueError if there is no finite number or NaN per particle.
         """
-        if self._told:
-            raise RuntimeError("the objectives of this population are known already; ask for the next one")
-        reached = fitness(*checked_answers(objectives, tie_breakers, len(self._changed)))
+        reached = fitness(*checked_answers(objectives, tie_breakers, len(self._changed), told=self._told))
         (first, second), (best, best_second) = reached.T, self._best_fitness.T
         with np.errstate(invalid="ignore"):  # infinity less infinity
             equal = (first == best) | (np.abs(first - best) <= grains(first, best))
