@@ -190,7 +190,8 @@ def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated
     with database.transaction() as connection:  # as another holder would
         ids = list(connection.scalars(select(leases_table.c.evaluation_id)))
         leases.give_back(connection, dict.fromkeys(ids, 0))
-        taken = leases.take(connection, dict.fromkeys(ids, 0), 0.0)
+        taken = leases.take(connection, dict.fromkeys(ids, 0))
+        leases.give_back(connection, dict.fromkeys(ids, 0))
     assert set(taken.values()) == {2}
     late = late_results()
     ended = finish(database, campaign, working)

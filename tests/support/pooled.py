@@ -47,23 +47,17 @@ class MemoryLeases(Leases):
     """The numbers of the leases that are not given back."""
     numbers: dict[int, int] = field(default_factory=dict)
     breakdowns: dict[int, int] = field(default_factory=dict)
-    exchanges: list[tuple[dict[int, int], dict[int, int], float]] = field(default_factory=list)
+    exchanges: list[tuple[dict[int, int], dict[int, int]]] = field(default_factory=list)
     starts: Counter[int] = field(default_factory=Counter)
     """Starts of the simulator by cell that happened."""
 
     def exchange(
-        self,
-        returned: Mapping[int, int],
-        wanted: Mapping[int, int],
-        seconds: float,
-        *,
-        unstarted: Mapping[int, int],
-        **_: object,
+        self, returned: Mapping[int, int], wanted: Mapping[int, int], *, unstarted: Mapping[int, int], **_: object
     ) -> Mapping[int, int]:
         failure = self.fails.pop(0) if self.fails else ""
         if failure == "before":
             raise UnavailableError("the database does not answer")
-        self.exchanges.append((dict(returned), dict(wanted), seconds))
+        self.exchanges.append((dict(returned), dict(wanted)))
         self.starts.subtract(unstarted)
         for cell, count in returned.items():
             if cell in self.numbers:

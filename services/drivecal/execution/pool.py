@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import Batch, BatchResult, SetupRequest
 from drivecal.domain.errors import UnavailableError
-from drivecal.execution.backend import DEADLINE_FACTOR, DEADLINE_SECONDS, Backend, Finished, Lost, WorkerInfo
+from drivecal.execution.backend import Backend, Finished, Lost, WorkerInfo
 from drivecal.execution.measures import MEASURES
 from drivecal.execution.observing import Observer, breakdowns
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
@@ -112,10 +112,8 @@ class Leases:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def exchange(
-        self, returned: Counts, wanted: Counts, seconds: float, *, unstarted: Counts, twice: Collection[int]
-    ) -> Mapping[int, int]:
-        """Gives back the leases of the cells in `returned`, then leases those in `wanted` for `seconds`, all or nothing.
+    def exchange(self, returned: Counts, wanted: Counts, *, unstarted: Counts, twice: Collection[int]) -> Mapping[int, int]:
+        """Gives back the leases of the cells in `returned`, then leases those in `wanted`, all or nothing.
 
         Both map cell ids to the number of breakdowns so far. `unstarted`: starts of the simulator that did not happen for returned cells;
         `twice`: wanted cells that are simulated twice. Returns the lease number of each granted cell; the others belong to another
@@ -124,7 +122,7 @@ class Leases:
         """
         with MEASURES.lease.time(), self._database.transaction() as connection:
             leases.give_back(connection, returned, unstarted)
-            return leases.take(connection, wanted, seconds, twice)
+            return leases.take(connection, wanted, twice)
 
 
 log = logging.getLogger(__name__)
@@ -304,9 +302,8 @@ class WorkPool:
             return []
         cells = {cell: count for dispatch in dispatches for cell, count in dispatch.breakdowns.items()}
         twice = {cell.id for dispatch in dispatches for cell in dispatch.batch.cells if cell.check}
-        seconds = max((_longest(dispatch.expected_seconds) for dispatch in dispatches), default=0.0)
         try:
-            granted = self._leases.exchange(self._returned, cells, seconds, unstarted=self._unstarted, twice=twice)
+            granted = self._leases.exchange(self._returned, cells, unstarted=self._unstarted, twice=twice)
         except UnavailableError:
             for dispatch in reversed(dispatches):
                 self._scheduler.take_back(dispatch.batch_id)
@@ -349,8 +346,3 @@ def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
     elif event.result.refusal is None:
         started |= left
     return {cell: count - started.get(cell, 0) for cell, count in planned.items()}
-
-
-def _longest(expected_seconds: float | None) -> float:
-    """Returns the time of the lease of a batch that is sent now; it may wait behind a batch like it."""
-    return 2 * max(DEADLINE_SECONDS, DEADLINE_FACTOR * (expected_seconds or 0.0))

@@ -14,36 +14,30 @@ A lease has no row of its own before it was taken once, and none any more when t
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from datetime import UTC, datetime, timedelta
 
 from sqlalchemy import Connection, bindparam, case, delete, func, literal, select, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.bulk import among, insert, rows_among
 from drivecal.storage.engine.tables import evaluations, leases
-from drivecal.storage.engine.types import now
 from drivecal.storage.processes import term_in_office
 
-OVER = datetime(1970, 1, 1, tzinfo=UTC)
-"""End of a lease that was given back: long ago, even if the clock is set back."""
 
-
-def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float, twice: Collection[int] = ()) -> dict[int, int]:
-    """Leases evaluations for `seconds`; returns the numbers of the granted leases by id. `breakdowns` has the number of breakdowns of each
+def take(connection: Connection, breakdowns: Mapping[int, int], twice: Collection[int] = ()) -> dict[int, int]:
+    """Leases evaluations; returns the numbers of the granted leases by id. `breakdowns` has the number of breakdowns of each
     evaluation by id. Evaluations in `twice` are simulated twice.
 
-    Grants no lease for answered evaluations, nor while a lease of this term is neither expired nor given back. On PostgreSQL, it also skips
+    Grants no lease for answered evaluations, nor while a lease of this term is not given back. On PostgreSQL, it also skips
     cells that another transaction is leasing, without waiting.
     """
-    term, moment = term_in_office(connection), now()
+    term = term_in_office(connection)
     by_count: dict[tuple[int, int], list[int]] = defaultdict(list)
     for evaluation, count in sorted(breakdowns.items()):
         by_count[count, 1 + (evaluation in twice)].append(evaluation)
-    common = literal(term), literal(moment + timedelta(seconds=seconds), leases.c.expires_at.type)
     granted: dict[int, int] = {}
     for (count, starts), wanted in by_count.items():
-        numbers = literal(1), literal(0), literal(starts), literal(0), literal(count)
-        lease = select(evaluations.c.id, *numbers, *common).where(evaluations.c.outcome.is_(None))
+        numbers = literal(1), literal(0), literal(starts), literal(0), literal(count), literal(term), literal(True)
+        lease = select(evaluations.c.id, *numbers).where(evaluations.c.outcome.is_(None))
         for condition in among(connection, evaluations.c.id, wanted):
             unanswered = lease.where(condition).with_for_update(skip_locked=True)
             columns = ["evaluation_id", "number", "starts", "running", "lost", *_RENEWED]
@@ -52,14 +46,14 @@ def take(connection: Connection, breakdowns: Mapping[int, int], seconds: float, 
                 index_elements=["evaluation_id"],
                 set_={"number": leases.c.number + 1, "lost": leases.c.lost + leases.c.running, "running": starts}
                 | {name: new.excluded[name] for name in _RENEWED},
-                where=(leases.c.term != term) | (leases.c.expires_at <= moment),
+                where=(leases.c.term != term) | ~leases.c.at_worker,
             )
             rows = connection.execute(statement.returning(leases.c.evaluation_id, leases.c.number))
             granted |= {row.evaluation_id: row.number for row in rows}
     return granted
 
 
-_RENEWED = ("attempts", "term", "expires_at")
+_RENEWED = ("attempts", "term", "at_worker")
 
 
 def give_back(connection: Connection, breakdowns: Mapping[int, int], unstarted: Mapping[int, int] | None = None) -> None:
@@ -77,7 +71,7 @@ def give_back(connection: Connection, breakdowns: Mapping[int, int], unstarted: 
             starts=leases.c.starts + case((broke_down, begun), else_=0),
             lost=leases.c.lost + case((broke_down, 0), else_=begun),
             running=0,
-            expires_at=OVER,
+            at_worker=False,
         )
     )
     fewer = unstarted or {}

@@ -102,8 +102,8 @@ BROKEN: dict[str, tuple[str, str]] = {
     ),
     "an answer is gone": ("UPDATE evaluations SET outcome = NULL WHERE id = 7", "ended campaigns"),
     "a lease of an ended campaign": (
-        """INSERT INTO leases (evaluation_id, number, attempts, starts, running, lost, term, expires_at)
-        VALUES (7, 1, 0, 0, 1, 0, 1, '2026-01-01 00:00:00+00')""",
+        """INSERT INTO leases (evaluation_id, number, attempts, starts, running, lost, term, at_worker)
+        VALUES (7, 1, 0, 0, 1, 0, 1, TRUE)""",
         "ended campaigns",
     ),
     "an end without its moment": ("UPDATE campaigns SET ended_at = NULL WHERE sequence = 1", "ended campaigns"),

@@ -76,8 +76,7 @@ def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> 
         processes.elect(connection, processes.DISPATCHER, 1, now())
         sequence, setup, sets = begun(connection, 4)
         ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
-        leases.take(connection, dict.fromkeys(ids[:2], 0), 60.0)
-        leases.take(connection, dict.fromkeys(ids[2:], 0), -60.0)  # a slow cell outlasts its lease
+        leases.take(connection, dict.fromkeys(ids, 0))
         leases.give_back(connection, {ids[0]: 1})
     result = look(database)
     assert result.leases == 3

@@ -338,7 +338,7 @@ leases = Table(  # for cells at workers, and cells that broke down there before;
     Column("running", Integer, nullable=False),
     Column("lost", Integer, nullable=False),
     Column("term", Integer, nullable=False),
-    Column("expires_at", UtcDateTime, nullable=False),
+    Column("at_worker", Boolean, nullable=False),  # false: given back
 )
 
 studies = Table(  # results of the stages after the calibration

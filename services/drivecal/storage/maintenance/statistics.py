@@ -10,7 +10,7 @@ from sqlalchemy import JSON, Connection, case, func, select, type_coerce
 
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import leases, processes
+from drivecal.storage import processes
 from drivecal.storage.campaigns import waits
 from drivecal.storage.engine.tables import campaign_stages, campaigns
 from drivecal.storage.engine.tables import leases as leases_table
@@ -44,8 +44,7 @@ def read(connection: Connection) -> Statistics:
     dispatcher = processes.read(connection, processes.DISPATCHER)
     out = 0
     if dispatcher is not None:  # cells at workers, and cells that broke down: never many
-        # whatever the time: a slow cell outlasts its lease, which ends when the cell comes back
-        current = (leases_table.c.term == dispatcher.term) & (leases_table.c.expires_at != leases.OVER)
+        current = (leases_table.c.term == dispatcher.term) & leases_table.c.at_worker
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
     waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
     table, by_state = campaigns.c, Counter[tuple[str, str]]()
