@@ -185,7 +185,7 @@ def motorway() -> EconomyProblem:
 
     from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
-    from drivecal.highway.scenarios.highway import HIGHWAY
+    from drivecal.highway.scenarios import HIGHWAY
 
     runner = cache(lambda scenario: runner_of(HIGHWAY.scenarios[scenario]))
 
@@ -205,7 +205,7 @@ def random_motorway() -> EconomyProblem:
     from drivecal.bundles.installed import installed_problems
     from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
-    from drivecal.highway.scenarios.highway import RANDOM_FOLDER, scenario_of
+    from drivecal.highway.scenarios import RANDOM_FOLDER, scenario_of
 
     declared = installed_problems()["highway-random"].manifest.scenarios
 

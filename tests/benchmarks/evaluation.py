@@ -20,7 +20,7 @@ from drivecal.bundles.highway import Scenario
 from drivecal.highway import sumo as sumo_calls
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.sumo import EGO
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 

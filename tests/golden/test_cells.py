@@ -21,7 +21,7 @@ from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.setups import sumo
 from drivecal.plugins.simulators import VERSIONS, RunOutcome

@@ -1,6 +1,5 @@
 """A campaign on a curve: coefficients are searched, results show values at the support points and the range of good sets."""
 
-import asyncio
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,14 +11,12 @@ from tests.support.computed import ComputedBackend
 from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import run
 
-from drivecal.api.dependencies import Limits
 from drivecal.api.results.document import results_of, setup_of
 from drivecal.api.routes.campaigns import read
 from drivecal.api.tables.ranking import ranking_of
 from drivecal.bundles.shapes import Shape, with_points
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.cli.views.output import print_results, print_solutions
-from drivecal.configuration.settings import load_settings
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.storage.engine.database import Database
@@ -98,8 +95,7 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
     shown = np.array([gain.good.lower, gain.values(best.parameters), gain.good.upper])
     assert (np.diff(shown, axis=0) >= 0).all()
     with mock.patch.object(Database, "read", one_at_a_time(Database.read)):  # else requests wait for each other's connections
-        answer = asyncio.run(read(ended.id, database, Limits.of(load_settings())))
-        in_notebook = Campaign.model_validate_json(bytes(answer.body))._repr_html_()
+        in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
         assert setup_of(ranking_of(database, ended.id)) == results.setup
     assert all(str(points) in in_notebook for points in (gain.values(best.parameters), gain.good.lower, load.good.upper))
     print_results(results)

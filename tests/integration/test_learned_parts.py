@@ -18,7 +18,7 @@ from drivecal.highway.comfort.learned import LEARNED
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.vehicle import residual
 from drivecal.highway.vehicle.plugin import HYBRID
 from drivecal.plugins.ports import SeriesEvaluator

@@ -25,7 +25,7 @@ from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive import geometry, tasks
 from drivecal.highway.drive.tasks import NEIGHBOUR_COLUMNS, TaskRunner
 from drivecal.highway.drive.traffic import Traffic, TrafficError
-from drivecal.highway.scenarios.highway import HIGHWAY, RANDOM_FOLDER, scenario_of
+from drivecal.highway.scenarios import HIGHWAY, RANDOM_FOLDER, scenario_of
 from drivecal.highway.sumo import EGO
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.ports import Observation, VehicleModel

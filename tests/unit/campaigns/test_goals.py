@@ -11,7 +11,7 @@ from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 
 JERK = {"measure": "peak_lateral_jerk_mps3", "direction": "minimise"}

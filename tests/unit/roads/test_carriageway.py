@@ -7,7 +7,7 @@ import pytest
 from tests.support.networks import entrance
 
 from drivecal.domain.errors import InvalidInputError
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.roads.carriageway import SPACING, carriageway
 from drivecal.roads.corridor import corridor
 from drivecal.roads.network import read_network

@@ -12,7 +12,7 @@ from drivecal.bundles.highway import Scenario
 from drivecal.domain.errors import InvalidInputError, UnavailableError, describe
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Argument
-from drivecal.highway.scenarios.highway import scenario_of
+from drivecal.highway.scenarios import scenario_of
 from drivecal.plugins import registry
 from drivecal.plugins.ports import SeriesEvaluator
 from drivecal.plugins.simulators import (

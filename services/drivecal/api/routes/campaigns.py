@@ -1,12 +1,12 @@
 """Campaigns: submit, read, steer, run again."""
 
+from functools import lru_cache
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Request, Response
-from fastapi.concurrency import run_in_threadpool
 
 from drivecal.api import expectation, submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner, computed
+from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
 from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
@@ -64,26 +64,8 @@ def list_campaigns(query: CampaignsQuery, database: DatabaseDependency, if_none_
 
 
 @router.get("/{campaign_id}", response_model=Campaign, responses=NOT_MODIFIED)
-async def read(
-    campaign_id: str, database: DatabaseDependency, limits: LimitsDependency, if_none_match: IfNoneMatch = None
-) -> Response:
+def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMatch = None) -> Response:
     """A campaign. With its `ETag` as `If-None-Match` the answer is 304 while nothing changes."""
-    answer, headers = await run_in_threadpool(_seen, database, campaign_id, if_none_match)
-    if answer is None:
-        return Response(status_code=304, headers=headers)
-    if answer.curves and answer.ended_at is not None:
-        await _add_good_sets(limits=limits, database=database, answer=answer)
-    return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
-
-
-@computed
-def _add_good_sets(database: Database, answer: Campaign) -> None:
-    for name, shape in shapes_with_good_sets(StoredRanking.of(database, database.query(campaigns.get, answer.id))).items():
-        answer.curves[name]["good"] = shape.good
-
-
-def _seen(database: Database, campaign_id: str, if_none_match: str | None) -> tuple[Campaign | None, dict[str, str]]:
-    """Returns a campaign, None if a client knows it, and the headers of the answer."""
     moment = now()
     with database.read() as connection:
         seen, heartbeat_at = revision_queries.campaign_revision(connection, campaign_id)
@@ -93,8 +75,20 @@ def _seen(database: Database, campaign_id: str, if_none_match: str | None) -> tu
         if not seen.state.ended:
             headers["Retry-After"] = str(SECONDS_BETWEEN_POLLS)
         if matches(if_none_match, tag):
-            return None, headers
-        return campaign_answer(campaigns.by_sequence(connection, seen.sequence), moment, silent), headers
+            return Response(status_code=304, headers=headers)
+        stored = campaigns.by_sequence(connection, seen.sequence)
+    answer = campaign_answer(stored, moment, silent)
+    if answer.curves and stored.state.ended:
+        for name, good in _good_sets(database, stored.id).items():
+            answer.curves[name]["good"] = good
+    return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
+
+
+@lru_cache(maxsize=256)
+def _good_sets(database: Database, ended: str) -> dict[str, Any]:
+    """Returns the range of good sets of each curve of an ended campaign. A ranking takes long, and its sets do not change any more."""
+    shapes = shapes_with_good_sets(StoredRanking.of(database, database.query(campaigns.get, ended)))
+    return {name: shape.good for name, shape in shapes.items()}
 
 
 @router.patch("/{campaign_id}")

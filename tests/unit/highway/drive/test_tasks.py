@@ -5,7 +5,7 @@ import pytest
 
 from drivecal.domain.roads import Floats
 from drivecal.highway.drive.tasks import drift_offsets, fulfilled, speed_errors, target_offsets
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 
 S1, S5 = HIGHWAY.scenarios["S1"], HIGHWAY.scenarios["S5"]
 STEPS = round(S1.duration / S1.step)

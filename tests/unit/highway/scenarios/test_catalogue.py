@@ -15,7 +15,7 @@ from drivecal.bundles.highway import Scenario
 from drivecal.bundles.highway_roads import check_roads
 from drivecal.bundles.installed import installed_problems
 from drivecal.highway.comfort.reference import Manoeuvre
-from drivecal.highway.scenarios.highway import FOLDER, HIGHWAY, RANDOM_FOLDER
+from drivecal.highway.scenarios import FOLDER, HIGHWAY, RANDOM_FOLDER
 from drivecal.highway.simulator import HIGHWAY as HIGHWAY_SIMULATOR
 from drivecal.plugins.simulators import Declared, UnsuitableError
 
@@ -98,7 +98,7 @@ def test_starts_and_lanes_that_the_road_does_not_have_are_refused(path: str, val
 
 def test_the_coordinator_can_load_the_catalogue_without_simulator_and_kernels() -> None:
     code = (
-        "import sys; from drivecal.highway.scenarios.highway import HIGHWAY; HIGHWAY.scenarios; "
+        "import sys; from drivecal.highway.scenarios import HIGHWAY; HIGHWAY.scenarios; "
         "print('libsumo' in sys.modules, 'numba' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

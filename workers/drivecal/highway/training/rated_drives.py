@@ -13,7 +13,7 @@ from drivecal.highway.comfort.reference import Manoeuvre
 from drivecal.highway.comfort.rocket import Integers, channels_of
 from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
-from drivecal.highway.scenarios.highway import HIGHWAY
+from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.training.multibody import smooth
 from drivecal.highway.vehicle.model import HybridModel, SingleTrackModel
 from drivecal.highway.vehicle.parameters import NOMINAL

@@ -10,7 +10,7 @@ from drivecal.bundles.highway import Scenario, TaskScenario
 from drivecal.bundles.installed import installed_problems
 from drivecal.plugins import registry
 
-FOLDER = Path(__file__).parents[1] / "problem"
+FOLDER = Path(__file__).with_name("problem")
 """The problem `highway` as `drivecal problem push` takes problems: `problem.yaml` and the networks of its scenarios."""
 RANDOM_FOLDER = FOLDER.with_name("random_problem")
 """The problem `highway-random`: the same scenarios with random traffic, S1r..S6r."""
