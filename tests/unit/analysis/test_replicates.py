@@ -1,9 +1,10 @@
 """Which sets get further runs, and what is then known of the best one: small synthetic campaigns with fixed seeds."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import permutations, product
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,14 @@ from tests.support.values import COST, by_score, present
 from drivecal.analysis import replicates
 from drivecal.analysis.goals import UNDECIDED, Aggregate, Bound, CellValue, Goals, Objective
 from drivecal.analysis.replicates import SetStatistics, allocate, assess, choosing, exceeding, interval, rate_bounds, to_tell
-from drivecal.analysis.solutions import EvaluatedSet, Ranking
+from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.stages.replication import next_runs
 from drivecal.contracts.specification import Quantile, ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import COMFORT, Direction, Scale
 
 SETS, CONFIDENCE, MOST = 12, 0.95, 300
+USUAL = ReplicatesSpecification()
 PRICE, GAP, ALONE = CellValue(measure="cost"), CellValue(measure="gap"), {"S1": 1.0}
 LIMITED = Goals((Objective("cost", PRICE, ALONE, Aggregate(), -1),), (Bound("gap", GAP, ALONE, Aggregate(), 1, 2.0, 1.0),))
 
@@ -67,6 +69,17 @@ class Campaign:
                 return standing.best(CONFIDENCE)
             for place in chosen:
                 self.run(place)
+
+
+def one_run(number: int, seed: int, score: float, scenario: str = "S1", **more: Any) -> CellScore:
+    return CellScore(number, scenario, score, score, True, 0, number, seed=seed, **more)
+
+
+def ranked(runs: Mapping[int, Iterable[float]], scale: Scale = COMFORT, wanted: ReplicatesSpecification = USUAL) -> Ranking:
+    """A ranking of sets with the scores of their seeds 1, 2, ..."""
+    ranking = by_score({"S1": 1}, scale, wanted)
+    ranking.add(one_run(number, seed, score) for number, scores in runs.items() for seed, score in enumerate(scores, 1))
+    return ranking
 
 
 @pytest.mark.slow("1.0-40")
@@ -130,12 +143,8 @@ def test_no_set_gets_more_runs_than_it_may() -> None:
 
 def test_the_last_seeds_report_and_do_not_choose() -> None:
     assert [choosing(most) for most in (1, 4, 5, 10, 20)] == [1, 4, 3, 6, 12]
-    ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification(most=5))
     scores = {1: [5.0, 5.2, 4.9, 1.0, 1.4], 2: [4.0, 4.1, 4.3], 3: [3.0, 3.2, 2.9]}
-    for number, listed in scores.items():
-        cells = [CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(listed, 1)]
-        ranking.add(cells)
-    best = present(ranking.best())
+    best = present(ranked(scores, wanted=ReplicatesSpecification(most=5)).best())
     assert (best[0].parameter_set, best[0].replicates) == (1, 5)
     assert best[0].objective == pytest.approx(1.2)
     assert present(best[0].lower) < 1.2
@@ -145,15 +154,12 @@ def test_a_set_with_one_lucky_run_stands_behind_a_set_that_is_known() -> None:
     ranking = by_score({"S1": 1}, COST, ReplicatesSpecification(most=4))
     known = {1: [2.0, 2.4, 1.8, 2.2], 2: [3.0, 3.5, 2.6, 3.1], 3: [1.95]}
     for number, listed in known.items():
-        ranking.add(
-            CellScore(number, "S1", score, score, True, 0, number, seed=seed, failed=seed == 2)
-            for seed, score in enumerate(listed, 1)
-        )
-    ranked = ranking.best_first()
-    assert [solution.parameter_set for solution in ranked] == [1, 3, 2]
-    assert ranked[1].is_close
-    assert (ranked[1].runs_to_tell or 0) > 1
-    assert [solution.failures for solution in ranked] == [1, 0, 1]
+        ranking.add(one_run(number, seed, score, failed=seed == 2) for seed, score in enumerate(listed, 1))
+    best_first = ranking.best_first()
+    assert [solution.parameter_set for solution in best_first] == [1, 3, 2]
+    assert best_first[1].is_close
+    assert (best_first[1].runs_to_tell or 0) > 1
+    assert [solution.failures for solution in best_first] == [1, 0, 1]
 
 
 def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
@@ -161,7 +167,7 @@ def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
     ranking, scores = by_score({"S1": 1}), 0.3 * (np.random.default_rng(1).normal(size=(4, 12)) - np.arange(4)[:, np.newaxis])
     scores[0, 5] = -15
     for (place, seed), x in np.ndenumerate(scores):
-        ranking.add([CellScore(place, "S1", x, x, True, 0, place, failed=x == -15, seed=seed + 1)])
+        ranking.add([one_run(place, seed + 1, x, failed=x == -15)])
     chances = [getattr(ranking.get(place), "probability_best", 0.0) for place in range(4)]
     assert chances[1] > 0.6 > 0.3 > chances[0] > 0.1 > chances[3]
     for level, failed in ((0.1, scores == -15), (None, scores < 15)):
@@ -169,14 +175,10 @@ def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
 
 
 def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
-    ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification(most=5))
-    for number, scores in {1: [5.0, 5.2], 2: [4.0, 4.1], 3: [3.0]}.items():
-        ranking.add(CellScore(number, "S1", score, score, True, 0, number, seed=seed) for seed, score in enumerate(scores, 1))
+    ranking = ranked({1: [5.0, 5.2], 2: [4.0, 4.1], 3: [3.0]}, wanted=ReplicatesSpecification(most=5))
     chosen = next_runs(ranking, ReplicatesSpecification(most=5), 2, 2)
     assert chosen == [(1, 4), (1, 5)]
-    ranking.add(
-        CellScore(1, "S1", score, score, True, 1, 0, seed=seed) for (_, seed), score in zip(chosen, (1.0, 2.0), strict=True)
-    )
+    ranking.add(one_run(1, seed, score) for (_, seed), score in zip(chosen, (1.0, 2.0), strict=True))
     best = present(ranking.best())
     assert (best[0].parameter_set, best[0].objective) == (1, 1.5)
     assert best[0].lower is not None
@@ -192,10 +194,7 @@ def test_runs_that_report_choose_nothing_through_constraints() -> None:
     ranking = Ranking({"S1": 1}, LIMITED, ReplicatesSpecification(most=5))
     kept = {1: [(1.0, 2.5), (1.1, 2.5), (1.2, 2.5), (1.3, 0.5), (1.4, 0.5)], 2: [(3.0, 2.5), (3.1, 2.5), (3.2, 2.5)]}
     for number, runs in kept.items():
-        ranking.add(
-            CellScore(number, "S1", 0.0, 0.0, True, 0, number, seed=seed, values={PRICE.key: run[0], GAP.key: run[1]})
-            for seed, run in enumerate(runs, 1)
-        )
+        ranking.add(one_run(number, seed, 0.0, values={PRICE.key: run[0], GAP.key: run[1]}) for seed, run in enumerate(runs, 1))
     best = present(ranking.best())
     assert best[0].parameter_set == 1
     assert best[0].violation == pytest.approx(1.5)
@@ -208,18 +207,16 @@ def test_sets_that_break_constraints_tell_the_noise_of_those_that_keep_them() ->
     broken = {number: [(1.0, 2.5), (5.0, 0.5)] for number in range(1, 5)}
     for number, runs in (broken | {5: [(2.9, 2.5), (3.1, 2.5)], 6: [(2.5, 2.5)]}).items():
         for seed, (cost, width) in enumerate(runs, 1):
-            values = {PRICE.key: cost, GAP.key: width}
-            ranking.add([CellScore(number, "S1", 0, 0, True, 0, number, seed=seed, values=values)])
+            ranking.add([one_run(number, seed, 0, values={PRICE.key: cost, GAP.key: width})])
     assert [each.parameter_set for each in ranking.best_first()[:2]] == [5, 6], "one lucky run"
 
 
 def test_the_noise_of_each_scenario_is_told() -> None:
-    ranking, random = by_score({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
+    ranking, random = by_score({"S1": 1, "S2": 1}, wanted=USUAL), np.random.default_rng(1)
     for number in range(20):
         for seed in range(1, 5):
             values = {"S1": number + seed + 0.1 * random.normal(), "S2": 2 * number + 0.4 * random.normal()}
-            cells = [CellScore(number, name, value, value, True, 0, number, seed=seed) for name, value in values.items()]
-            ranking.add(cells)
+            ranking.add(one_run(number, seed, value, name) for name, value in values.items())
     best = present(ranking.best())
     assert ranking.uncertainty(best[0])["noise"] == pytest.approx({"S1": 0.1, "S2": 0.4}, rel=0.3)
     assert ranking.failed_runs(best[0].parameter_set) == (0, 8)
@@ -242,10 +239,8 @@ def test_a_budget_keeps_runs_for_the_choice() -> None:
 
 
 def test_sets_are_compared_under_the_seeds_that_both_have() -> None:
-    ranking = by_score({"S1": 1}, wanted=ReplicatesSpecification())
-    for number, seeds in ((1, 14), (2, 20)):
-        values = [number + 0.01 * seed + (50.0 if seed > 12 else 0.0) for seed in range(1, seeds + 1)]
-        ranking.add(CellScore(number, "S1", each, each, True, 0, number, seed=seed) for seed, each in enumerate(values, 1))
+    counts = {1: 14, 2: 20}
+    ranking = ranked({n: [n + 0.01 * seed + 50.0 * (seed > 12) for seed in range(1, most + 1)] for n, most in counts.items()})
     assert present(ranking.best())[0].objective > 50, "reported by its last seeds"
     best, other = present(ranking.beside_best(1))
     assert best.parameter_set == 2
@@ -258,10 +253,10 @@ def test_sets_are_compared_under_the_seeds_that_both_have() -> None:
 
 def test_each_objective_of_a_front_is_the_mean_over_seeds_of_the_objective_of_a_run() -> None:
     worst = Objective("worst", CellValue(COST), {"S1": 0.5, "S2": 0.5}, Aggregate("max"), -1)
-    ranking = Ranking(worst.shares, Goals((worst, replace(worst, name="again"))), ReplicatesSpecification())
+    ranking = Ranking(worst.shares, Goals((worst, replace(worst, name="again"))), USUAL)
     runs = {1: (1.0, 5.0), 2: (5.0, 1.0)}
     for seed, scores in runs.items():
-        ranking.add(CellScore(1, name, x, x, True, 0, 0, seed=seed) for name, x in zip(("S1", "S2"), scores, strict=True))
+        ranking.add(one_run(1, seed, x, name) for name, x in zip(("S1", "S2"), scores, strict=True))
     (member,) = ranking.front()
     assert member.solution.judgement.amounts == (5.0, 5.0)
 
@@ -278,35 +273,30 @@ def test_intervals_of_quantiles_are_exact() -> None:
 def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
     random = np.random.default_rng(2)
     runs = {1: 4.8 + random.normal(size=12), 2: 5.0 + 0.1 * random.normal(size=12), 3: np.array([4.9])}
-    ranked: list[list[EvaluatedSet]] = []
-    for wanted in (ReplicatesSpecification(), ReplicatesSpecification(aggregate=Quantile(quantile=0.9))):
-        ranking = by_score({"S1": 1}, COST, wanted)
-        for number, scores in runs.items():
-            ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
-        ranked.append(ranking.best_first())
-    assert [[each.parameter_set for each in sets] for sets in ranked] == [[1, 2, 3], [2, 1, 3]]
-    assert ranked[1][0].objective == sorted(runs[2])[10]  # the least value that nine of ten runs do not exceed
+    wanted = USUAL, ReplicatesSpecification(aggregate=Quantile(quantile=0.9))
+    rankings = [ranked(runs, COST, each).best_first() for each in wanted]
+    assert [[each.parameter_set for each in sets] for sets in rankings] == [[1, 2, 3], [2, 1, 3]]
+    assert rankings[1][0].objective == sorted(runs[2])[10]  # the least value that nine of ten runs do not exceed
 
 
 def test_equal_scores_of_ratings_that_differ_do_not_say_that_there_is_no_noise() -> None:
     for step in (0.1, 0.0):
-        ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
+        ranking = by_score({"S1": 1}, wanted=USUAL)
         for number in range(6):
             seeds = range(1, 3 if number < 5 or not step else 2)
-            ranking.add(CellScore(number, "S1", 6.0, 6.0 + step * seed, True, 0, number, seed=seed) for seed in seeds)
-        assert bool(next_runs(ranking, wanted, 8, 100)) == (step > 0)
+            ranking.add(replace(one_run(number, seed, 6.0), rating=6.0 + step * seed) for seed in seeds)
+        assert bool(next_runs(ranking, USUAL, 8, 100)) == (step > 0)
 
 
 @pytest.mark.parametrize("budget", [8, 15])
 def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budget: int) -> None:
     """Equal losses by seed are no proof that sets are equal; single runs of other sets were as good, with a better rating."""
-    ranking, wanted = by_score({"S1": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
-    chosen, spent = [(number, 1) for number in range(30)], -30
+    ranking, chosen, spent = by_score({"S1": 1}, wanted=USUAL), [(number, 1) for number in range(30)], -30
     while chosen:
         scores = [(number, seed, 6.5 - seed % 3 / 6 - (number >= 20)) for number, seed in chosen]
-        ranking.add(CellScore(n, "S1", x, x + 0.01 * n, True, 0, n, seed=seed) for n, seed, x in scores)
+        ranking.add(replace(one_run(number, seed, x), rating=x + 0.01 * number) for number, seed, x in scores)
         spent += len(chosen)
-        chosen = next_runs(ranking, wanted, 2, budget - spent)
+        chosen = next_runs(ranking, USUAL, 2, budget - spent)
     assert spent == budget
     assert ranking.best_first()[0].chosen_by is not None
     assert ranking.best_first()[0].bound is not None  # the noise is known
@@ -314,24 +304,22 @@ def test_sets_that_change_alike_get_more_runs_and_the_best_one_has_a_report(budg
 
 @pytest.mark.parametrize("budget", range(3, 10))
 def test_the_best_set_of_a_small_budget_is_the_one_that_is_reported(budget: int) -> None:
-    random, wanted = np.random.default_rng(budget), ReplicatesSpecification()
+    random = np.random.default_rng(budget)
     for _ in range(20):
-        ranking, chosen, left = by_score({"S1": 1}, wanted=wanted), [(number, 1) for number in range(30)], budget + 30
+        ranking, chosen, left = by_score({"S1": 1}, wanted=USUAL), [(number, 1) for number in range(30)], budget + 30
         while chosen:
             left -= len(chosen)
-            scores = [(number, seed, float(random.normal())) for number, seed in chosen]
-            ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for number, seed, x in scores)
-            chosen = next_runs(ranking, wanted, 2, left)
+            ranking.add([one_run(number, seed, float(random.normal())) for number, seed in chosen])
+            chosen = next_runs(ranking, USUAL, 2, left)
         assert present(ranking.best())[0].chosen_by is not None
 
 
 def test_a_seed_is_tried_only_if_all_scenarios_of_the_ranking_ran() -> None:
     """S3 belongs to another variant, and a search by the cell may run a further seed in some scenarios only."""
-    ranking, wanted = by_score({"S1": 1, "S2": 1}, wanted=ReplicatesSpecification()), ReplicatesSpecification()
-    for number, (scenario, last) in product((1, 2), {"S1": 6, "S2": 2, "S3": wanted.most}.items()):
-        scores = [(seed, 5.0 + (seed * number % 3) / 10) for seed in range(1, last + 1)]
-        ranking.add(CellScore(number, scenario, x, x, True, 0, number, seed=seed) for seed, x in scores)
-    assert set(next_runs(ranking, wanted, 8, 100)) >= {(1, 3), (2, 3)}
+    ranking = by_score({"S1": 1, "S2": 1}, wanted=USUAL)
+    for number, (scenario, last) in product((1, 2), {"S1": 6, "S2": 2, "S3": USUAL.most}.items()):
+        ranking.add(one_run(number, seed, 5.0 + (seed * number % 3) / 10, scenario) for seed in range(1, last + 1))
+    assert set(next_runs(ranking, USUAL, 8, 100)) >= {(1, 3), (2, 3)}
 
 
 def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> None:
@@ -339,12 +327,11 @@ def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> No
     random = np.random.default_rng(1)
 
     def cells(numbers: Iterable[int], seeds: range, mean: float) -> list[CellScore]:
-        scores = [(number, seed, mean + 0.1 * random.normal()) for number in numbers for seed in seeds]
-        return [CellScore(number, "S1", x, x, True, 0, number, seed=seed) for number, seed, x in scores]
+        return [one_run(number, seed, mean + 0.1 * random.normal()) for number in numbers for seed in seeds]
 
     first = cells([1], range(1, 5), 5.2) + cells([2], range(1, 5), 5.35) + cells(range(3, 33), range(1, 5), 4.0)
     later = cells([2], range(5, 13), 4.8) + cells(range(3, 13), range(5, 13), 4.0)
-    grown, whole = (by_score({"S1": 1}, wanted=ReplicatesSpecification()) for _ in range(2))
+    grown, whole = (by_score({"S1": 1}, wanted=USUAL) for _ in range(2))
     grown.add(first)
     assert grown.best_first()[0].parameter_set == 2
     grown.add(later)
@@ -354,21 +341,18 @@ def test_intervals_are_those_of_a_ranking_that_takes_all_answers_at_once() -> No
 
 def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> None:
     goals = Goals((Objective("gap", GAP, {"S1": 1.0}, Aggregate(), 1),))
-    values = [(1, seed, {GAP.key: float(seed)}) for seed in range(1, 5)]
-    values += [(number, 1, {GAP.key: 0.0}) for number in range(2, 8)]
-    cells = [CellScore(number, "S1", 1.0, 1.0, True, 0, number, seed=seed, values=known) for number, seed, known in values]
-    ranking = Ranking({"S1": 1}, goals, ReplicatesSpecification())
+    cells = [one_run(1, seed, 1.0, values={GAP.key: float(seed)}) for seed in range(1, 5)]
+    cells += [one_run(number, 1, 1.0, values={GAP.key: 0.0}) for number in range(2, 8)]
+    ranking = Ranking({"S1": 1}, goals, USUAL)
     ranking.add(cells)
     ranking.add([replace(cells[0], seed=5, failed=True, values={})])
     assert ranking.uncertainty(ranking.best_first()[0])["close"] == 0
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:
-    ranking, random = by_score({"S1": 1}, wanted=ReplicatesSpecification()), np.random.default_rng(1)
-    for number, scores in enumerate(6.0 + random.integers(-1, 2, (2, 20)) / 6):
-        scores[12:] = 6.0
-        ranking.add(CellScore(number, "S1", x, x, True, 0, number, seed=seed) for seed, x in enumerate(scores.tolist(), 1))
-    assert 5.8 < (ranking.best_first()[0].lower or 0.0) < 5.97
+    scores = 6.0 + np.random.default_rng(1).integers(-1, 2, (2, 20)) / 6
+    scores[:, 12:] = 6.0
+    assert 5.8 < (ranked(dict(enumerate(scores))).best_first()[0].lower or 0.0) < 5.97
 
 
 def test_a_lucky_single_run_counts_less_than_many_good_ones() -> None:
@@ -395,10 +379,10 @@ def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reporte
     noise = np.random.Generator(np.random.PCG64(1)).normal(size=(3, 21))  # the last row is common to both
     for place, seeds in ((0, (1, 2, 3, 4, 13, 14, 15)), (1, (1, 13, 14, 15) if reported else (1,))):
         scores = {seed: float(5 - gap * place + 0.2 * noise[place, seed] + noise[2, seed]) for seed in seeds}
-        ranking.add(CellScore(place, "S1", each, each, True, 0, place, seed=seed) for seed, each in scores.items())
+        ranking.add(one_run(place, seed, score) for seed, score in scores.items())
     for place, seed in product((2, 3), range(1, 13)) if failing else ():
         worth = float(noise[2, seed] - 20 * (seed % 3 == 0))
-        ranking.add([CellScore(place, "S1", worth, worth, True, 0, place, seed=seed, failed=seed % 3 == 0)])
+        ranking.add([one_run(place, seed, worth, failed=seed % 3 == 0)])
     gain, is_close = ranking.gain_over(1, random=True)
     assert (gain is not None, is_close) == (reported, close)
     assert ranking.gain_over(0, random=True) == (None, False)
@@ -421,8 +405,7 @@ def rated(most: int, fails: dict[int, int], sets: int = 3, budget: int = 1000, s
         for place, seed in chosen:
             gap = -1.0 if place in fails and seed % fails[place] == 0 else 1.0
             score = float(noise[place, seed - 1] - place / 2 + gap / 4)
-            values = {RATE.value.key: gap}
-            cells.append(CellScore(place, "S1", score, score, True, 0, place, seed=seed, values=values))
+            cells.append(one_run(place, seed, score, values={RATE.value.key: gap}))
         ranking.add(cells)
         chosen = next_runs(ranking, wanted, 4, budget)
         budget -= len(chosen)
@@ -433,10 +416,7 @@ def rated(most: int, fails: dict[int, int], sets: int = 3, budget: int = 1000, s
     ("beyond", "runs", "least", "most"), [(0, 22, 0.0, 0.0), (0, 21, 1e-4, 2e-4), (2, 10, 1e-4, UNDECIDED), (9, 10, 0.79, 0.81)]
 )
 def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float, most: float) -> None:
-    cells = [
-        {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, seed=seed, values={RATE.value.key: -float(seed <= beyond)})}
-        for seed in range(1, runs + 1)
-    ]
+    cells = [{"S1": one_run(1, seed, 1.0, values={RATE.value.key: -float(seed <= beyond)})} for seed in range(1, runs + 1)]
     judged = present(next(Goals((), (RATE,)).judge(cells[:1], [cells])))
     assert least <= judged.violation <= most
     assert judged.undecided == (0 < most <= UNDECIDED)
@@ -447,7 +427,7 @@ def test_a_rate_is_kept_broken_or_undecided(beyond: int, runs: int, least: float
 
 
 def test_bounds_of_a_rate_have_names_of_their_own() -> None:
-    cells = {"S1": CellScore(1, "S1", 1.0, 1.0, True, 0, 0, values={RATE.value.key: 1.0})}
+    cells = {"S1": one_run(1, 1, 1.0, values={RATE.value.key: 1.0})}
     for bounds in permutations([replace(RATE, name="gap_lower", rate=None), RATE, RATE]):
         goals = Goals((), bounds)
         assert len(goals.named_bounds(present(next(goals.judge([cells]))))) == 7
