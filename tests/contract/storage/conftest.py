@@ -1,12 +1,14 @@
 """One behaviour suite for both backends: every test that asks for `database` or `empty_url` runs on SQLite and on PostgreSQL."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
 
 import psycopg
 import pytest
 from psycopg import sql
+from sqlalchemy import Connection
 from tests.support.databases import migrated
 from tests.support.postgres import create_database
 
@@ -67,3 +69,10 @@ def url(backend: Backend, request: pytest.FixtureRequest, tmp_path: Path) -> str
 def database(url: str) -> Database:
     """A migrated database without rows."""
     return Database.open(url)
+
+
+@pytest.fixture
+def connection(database: Database) -> Iterator[Connection]:
+    """A transaction on it, for tests that need no other."""
+    with database.transaction() as opened:
+        yield opened

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import Pool, event, text
+from sqlalchemy import Connection, Pool, event, text
 from tests.support.databases import leave_it_to_the_system
 from tests.support.storage import PROCESSES, campaign
 
@@ -24,10 +24,9 @@ from drivecal.storage.engine.schema import REVISION_TABLE
 from drivecal.storage.engine.tables import metadata
 
 
-def test_the_revisions_make_exactly_the_tables(database: Database) -> None:
-    with database.read() as connection:
-        context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
-        assert compare_metadata(context, metadata) == []
+def test_the_revisions_make_exactly_the_tables(connection: Connection) -> None:
+    context = MigrationContext.configure(connection, opts={"version_table": REVISION_TABLE, "compare_type": True})
+    assert compare_metadata(context, metadata) == []
 
 
 def test_a_new_database_is_usable_after_its_upgrade_and_a_second_one_changes_nothing(empty_url: str) -> None:

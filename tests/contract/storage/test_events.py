@@ -23,24 +23,22 @@ def told(connection: Connection, sequence: int) -> list[tuple[str, Any]]:
     return [(item.kind, item.data.get("state")) for item in events.since(connection, sequence, 0, MANY)]
 
 
-def test_a_reader_gets_what_came_after_the_event_that_it_saw_last(database: Database) -> None:
-    with database.transaction() as connection:
-        one, other = campaign(connection).sequence, campaign(connection).sequence
-        for number in range(5):
-            events.add(connection, one, EventKind.NOTE, {"text": str(number)})
-            events.add(connection, other, EventKind.NOTE, {"text": "of another"})
-    with database.read() as connection:
-        queued, *notes = events.since(connection, one, 0, MANY)
-        assert (queued.kind, queued.campaign_sequence) == ("queued", one)
-        assert [note.data["text"] for note in notes] == ["0", "1", "2", "3", "4"]
-        assert [note.id for note in notes] == sorted({note.id for note in notes})
-        first = events.since(connection, one, notes[0].id, limit=2)
-        assert first == notes[1:3]
-        assert events.since(connection, one, first[-1].id, limit=MANY) == notes[3:]
-        assert events.since(connection, one, notes[-1].id, MANY) == []
-        assert events.newest_id(connection, one) == notes[-1].id
-        assert events.newest_id(connection, 10**6) == 0
-        assert now() - notes[0].created_at < timedelta(minutes=1)
+def test_a_reader_gets_what_came_after_the_event_that_it_saw_last(connection: Connection) -> None:
+    one, other = campaign(connection).sequence, campaign(connection).sequence
+    for number in range(5):
+        events.add(connection, one, EventKind.NOTE, {"text": str(number)})
+        events.add(connection, other, EventKind.NOTE, {"text": "of another"})
+    queued, *notes = events.since(connection, one, 0, MANY)
+    assert (queued.kind, queued.campaign_sequence) == ("queued", one)
+    assert [note.data["text"] for note in notes] == ["0", "1", "2", "3", "4"]
+    assert [note.id for note in notes] == sorted({note.id for note in notes})
+    first = events.since(connection, one, notes[0].id, limit=2)
+    assert first == notes[1:3]
+    assert events.since(connection, one, first[-1].id, limit=MANY) == notes[3:]
+    assert events.since(connection, one, notes[-1].id, MANY) == []
+    assert events.newest_id(connection, one) == notes[-1].id
+    assert events.newest_id(connection, 10**6) == 0
+    assert now() - notes[0].created_at < timedelta(minutes=1)
 
 
 def test_what_was_rolled_back_was_never_told(database: Database) -> None:
@@ -58,72 +56,68 @@ def test_what_was_rolled_back_was_never_told(database: Database) -> None:
         assert told(connection, stored.sequence) == [("queued", "queued")]
 
 
-def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaign(connection)
-        sequence = stored.sequence
-        for action in ("pause", "pause", "resume", "resume"):
-            campaigns.request_action(connection, stored.id, action)
-        assert campaigns.start(connection, sequence)
-        assert not campaigns.start(connection, sequence)
-        for _ in range(2):
-            campaigns.request_action(connection, stored.id, "pause")
-        campaigns.request_action(connection, stored.id, "resume")  # takes the pause back
-        assert not campaigns.carry_out(connection, sequence, "pause")
+def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(connection: Connection) -> None:
+    stored = campaign(connection)
+    sequence = stored.sequence
+    for action in ("pause", "pause", "resume", "resume"):
+        campaigns.request_action(connection, stored.id, action)
+    assert campaigns.start(connection, sequence)
+    assert not campaigns.start(connection, sequence)
+    for _ in range(2):
         campaigns.request_action(connection, stored.id, "pause")
-        assert campaigns.carry_out(connection, sequence, "pause")
-        for _ in range(2):
-            campaigns.request_action(connection, stored.id, "resume")
-        assert campaigns.carry_out(connection, sequence, "resume")
-        for _ in range(2):
-            campaigns.request_action(connection, stored.id, "cancel")
-        with pytest.raises(ConflictError):
-            campaigns.request_action(connection, stored.id, "resume")
-        assert campaigns.carry_out(connection, sequence, "cancel")
-        assert campaigns.end(connection, sequence, CampaignState.CANCELLED)
-        assert not campaigns.end(connection, sequence, CampaignState.CANCELLED)
-        assert told(connection, sequence) == [
-            ("queued", "queued"),
-            ("paused", "paused"),
-            ("queued", "queued"),
-            ("running", "running"),
-            ("pausing", "running"),
-            ("resumed", "running"),
-            ("pausing", "running"),
-            ("paused", "paused"),
-            ("resuming", "paused"),
-            ("resumed", "running"),
-            ("cancelling", "cancelling"),
-            ("cancelled", "cancelled"),
-        ]
+    campaigns.request_action(connection, stored.id, "resume")  # takes the pause back
+    assert not campaigns.carry_out(connection, sequence, "pause")
+    campaigns.request_action(connection, stored.id, "pause")
+    assert campaigns.carry_out(connection, sequence, "pause")
+    for _ in range(2):
+        campaigns.request_action(connection, stored.id, "resume")
+    assert campaigns.carry_out(connection, sequence, "resume")
+    for _ in range(2):
+        campaigns.request_action(connection, stored.id, "cancel")
+    with pytest.raises(ConflictError):
+        campaigns.request_action(connection, stored.id, "resume")
+    assert campaigns.carry_out(connection, sequence, "cancel")
+    assert campaigns.end(connection, sequence, CampaignState.CANCELLED)
+    assert not campaigns.end(connection, sequence, CampaignState.CANCELLED)
+    assert told(connection, sequence) == [
+        ("queued", "queued"),
+        ("paused", "paused"),
+        ("queued", "queued"),
+        ("running", "running"),
+        ("pausing", "running"),
+        ("resumed", "running"),
+        ("pausing", "running"),
+        ("paused", "paused"),
+        ("resuming", "paused"),
+        ("resumed", "running"),
+        ("cancelling", "cancelling"),
+        ("cancelled", "cancelled"),
+    ]
 
 
-def test_trouble_is_told_when_it_changes_and_not_with_every_look_at_it(database: Database) -> None:
-    with database.transaction() as connection:
-        one, other = campaign(connection).sequence, campaign(connection).sequence
-        for sequence in (one, other):
-            campaigns.start(connection, sequence)
-        for reason in ("no workers", "no workers", "Ray is gone", None, None):
-            campaigns.degrade(connection, [one, other], reason)
-        for sequence in (one, other):
-            told = [(event.kind, event.data) for event in events.since(connection, sequence, 0, MANY)[2:]]
-            assert told == [("degraded", {"reason": "no workers"}), ("degraded", {"reason": "Ray is gone"}), ("recovered", {})]
+def test_trouble_is_told_when_it_changes_and_not_with_every_look_at_it(connection: Connection) -> None:
+    one, other = campaign(connection).sequence, campaign(connection).sequence
+    for sequence in (one, other):
+        campaigns.start(connection, sequence)
+    for reason in ("no workers", "no workers", "Ray is gone", None, None):
+        campaigns.degrade(connection, [one, other], reason)
+    for sequence in (one, other):
+        told = [(event.kind, event.data) for event in events.since(connection, sequence, 0, MANY)[2:]]
+        assert told == [("degraded", {"reason": "no workers"}), ("degraded", {"reason": "Ray is gone"}), ("recovered", {})]
 
 
-def test_old_events_are_forgotten_in_portions_but_the_last_of_each_campaign_stays(database: Database) -> None:
-    with database.transaction() as connection:
-        one, other, fresh = (campaign(connection).sequence for _ in range(3))
-        for number in range(6):
-            events.add(connection, one, EventKind.NOTE, {"text": str(number)})
-        events.add(connection, other, EventKind.NOTE, {"text": "the last"})
-        connection.execute(text("UPDATE events SET created_at = '2020-01-01 00:00:00'"))
-        events.add(connection, fresh, EventKind.NOTE, {"text": "new"})
+def test_old_events_are_forgotten_in_portions_but_the_last_of_each_campaign_stays(connection: Connection) -> None:
+    one, other, fresh = (campaign(connection).sequence for _ in range(3))
+    for number in range(6):
+        events.add(connection, one, EventKind.NOTE, {"text": str(number)})
+    events.add(connection, other, EventKind.NOTE, {"text": "the last"})
+    connection.execute(text("UPDATE events SET created_at = '2020-01-01 00:00:00'"))
+    events.add(connection, fresh, EventKind.NOTE, {"text": "new"})
     limit = now() - timedelta(days=1)
-    with database.transaction() as connection:
-        assert events.prune(connection, limit, at_most=5) == 5
-        assert events.prune(connection, limit, at_most=5) == 3
-        assert events.prune(connection, limit, at_most=5) == 0
-        kept = [[event.data.get("text") for event in events.since(connection, n, 0, MANY)] for n in (one, other, fresh)]
+    assert events.prune(connection, limit, at_most=5) == 5
+    assert events.prune(connection, limit, at_most=5) == 3
+    assert events.prune(connection, limit, at_most=5) == 0
+    kept = [[event.data.get("text") for event in events.since(connection, n, 0, MANY)] for n in (one, other, fresh)]
     assert kept == [["5"], ["the last"], ["new"]]
 
 

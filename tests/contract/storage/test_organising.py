@@ -4,7 +4,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import Connection, func, select
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SHORT, get, influenced, run, submit
 from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
@@ -51,30 +51,28 @@ def runs(database: Database) -> int:
         return connection.scalar(select(func.count()).select_from(tables.runs)) or 0
 
 
-def test_labels_are_changed_one_by_one_and_again_without_effect(database: Database) -> None:
-    with database.transaction() as connection:
-        first = campaign(connection, "first")
-        changed = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["b", "a", "b"]))
-        again = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["a", "b"]))
-        renamed = campaigns.change_labels(connection, first.id, CampaignChanges(name="other"))
+def test_labels_are_changed_one_by_one_and_again_without_effect(connection: Connection) -> None:
+    first = campaign(connection, "first")
+    changed = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["b", "a", "b"]))
+    again = campaigns.change_labels(connection, first.id, CampaignChanges(tags=["a", "b"]))
+    renamed = campaigns.change_labels(connection, first.id, CampaignChanges(name="other"))
     assert (changed.tags, changed.name) == (("a", "b"), "first")
     assert again == changed
     assert (renamed.name, renamed.tags, renamed.revision) == ("other", ("a", "b"), changed.revision + 1)
 
 
-def test_tags_are_added_and_removed_beside_those_of_others(database: Database) -> None:
-    with database.transaction() as connection:
-        first = campaigns.change_labels(connection, campaign(connection).id, CampaignChanges(tags=["theirs", "old"]))
-        changed = campaigns.change_labels(
-            connection, first.id, CampaignChanges(add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
-        )
-        assert changed.tags == ("mine", "theirs")
-        assert campaigns.change_labels(connection, first.id, CampaignChanges(add_tags=["mine"], remove_tags=["old"])) == changed
-        many = [f"tag-{number}" for number in range(campaigns.MOST_TAGS - 1)]
-        assert faults_of(campaigns.change_labels, connection, first.id, CampaignChanges(add_tags=many))[0].field == "add_tags"
-        assert campaigns.change_labels(
-            connection, first.id, CampaignChanges(add_tags=many, remove_tags=["mine"])
-        ).tags == tuple(sorted([*many, "theirs"]))
+def test_tags_are_added_and_removed_beside_those_of_others(connection: Connection) -> None:
+    first = campaigns.change_labels(connection, campaign(connection).id, CampaignChanges(tags=["theirs", "old"]))
+    changed = campaigns.change_labels(
+        connection, first.id, CampaignChanges(add_tags=["mine", "both"], remove_tags=["old", "both", "never"])
+    )
+    assert changed.tags == ("mine", "theirs")
+    assert campaigns.change_labels(connection, first.id, CampaignChanges(add_tags=["mine"], remove_tags=["old"])) == changed
+    many = [f"tag-{number}" for number in range(campaigns.MOST_TAGS - 1)]
+    assert faults_of(campaigns.change_labels, connection, first.id, CampaignChanges(add_tags=many))[0].field == "add_tags"
+    assert campaigns.change_labels(connection, first.id, CampaignChanges(add_tags=many, remove_tags=["mine"])).tags == tuple(
+        sorted([*many, "theirs"])
+    )
 
 
 def test_tags_are_told_apart_by_case(database: Database) -> None:

@@ -13,35 +13,31 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, setups
 
 
-def test_sets_are_stored_once_and_ids_come_in_the_order_of_the_sets(database: Database) -> None:
+def test_sets_are_stored_once_and_ids_come_in_the_order_of_the_sets(connection: Connection) -> None:
     given = sample_sets(7000)  # more than one chunk of IN on SQLite
-    with database.transaction() as connection:
-        few = parameter_sets.ensure(connection, given[100:200])
-        ids = parameter_sets.ensure(connection, given)
-        again = parameter_sets.ensure(connection, [*reversed(given), given[0]])
+    few = parameter_sets.ensure(connection, given[100:200])
+    ids = parameter_sets.ensure(connection, given)
+    again = parameter_sets.ensure(connection, [*reversed(given), given[0]])
     assert ids[100:200] == few
     assert again == [*reversed(ids), ids[0]]
     assert len(set(ids)) == 7000
-    with database.read() as connection:
-        assert parameter_sets.load(connection, ids) == dict(zip(ids, given, strict=True))
-        assert parameter_sets.load(connection, [10**9]) == {}
+    assert parameter_sets.load(connection, ids) == dict(zip(ids, given, strict=True))
+    assert parameter_sets.load(connection, [10**9]) == {}
 
 
-def test_a_set_is_the_same_in_any_order_of_names_and_keeps_its_exact_decimals(database: Database) -> None:
+def test_a_set_is_the_same_in_any_order_of_names_and_keeps_its_exact_decimals(connection: Connection) -> None:
     one = ParameterSet.of({"P1": Decimal("0.100000001"), "P2": Decimal("-999999.999999999")})
     turned = ParameterSet.of({"P2": Decimal("-999999.999999999"), "P1": Decimal("0.100000001")})
-    with database.transaction() as connection:
-        ids = parameter_sets.ensure(connection, [one, turned])
-        assert ids[0] == ids[1]
-        assert parameter_sets.load(connection, ids) == {ids[0]: one}
+    ids = parameter_sets.ensure(connection, [one, turned])
+    assert ids[0] == ids[1]
+    assert parameter_sets.load(connection, ids) == {ids[0]: one}
 
 
-def test_setups_are_stored_once_with_all_that_decides_their_runs(database: Database) -> None:
+def test_setups_are_stored_once_with_all_that_decides_their_runs(connection: Connection) -> None:
     other = Setup("S1", {**SETUP.document, "varied": {"mass": 1500.0000000000002}})
-    with database.transaction() as connection:
-        ids = setups.ensure(connection, [SETUP, other, SETUP])
-        assert setups.ensure(connection, [other]) == [ids[1]]
-        counts = setups.counts(connection)
+    ids = setups.ensure(connection, [SETUP, other, SETUP])
+    assert setups.ensure(connection, [other]) == [ids[1]]
+    counts = setups.counts(connection)
     assert ids[0] == ids[2] != ids[1]
     assert {each.fingerprint: each.document for each in counts} == {item.fingerprint: item.document for item in (SETUP, other)}
     assert [entry.runs for entry in counts] == [0, 0]

@@ -7,6 +7,7 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from sqlalchemy import Connection
 from tests.contract.storage.conftest import Backend
 from tests.support.serve import until
 from tests.support.values import present
@@ -22,14 +23,12 @@ HOLD = (
 )
 
 
-def test_a_process_is_known_by_its_last_heartbeat(database: Database) -> None:
+def test_a_process_is_known_by_its_last_heartbeat(connection: Connection) -> None:
     began = datetime.now(UTC) - timedelta(seconds=5)
-    with database.transaction() as connection:
-        assert processes.read(connection, "dispatcher") is None
-        processes.heartbeat(connection, "dispatcher", 1, began, {"workers": []})
-        processes.heartbeat(connection, "dispatcher", 2, began, {"workers": [{"id": "w", "cells": 3}]})
-    with database.read() as connection:
-        stored = present(processes.read(connection, "dispatcher"))
+    assert processes.read(connection, "dispatcher") is None
+    processes.heartbeat(connection, "dispatcher", 1, began, {"workers": []})
+    processes.heartbeat(connection, "dispatcher", 2, began, {"workers": [{"id": "w", "cells": 3}]})
+    stored = present(processes.read(connection, "dispatcher"))
     assert (stored.pid, stored.started_at, stored.detail) == (2, began, {"workers": [{"id": "w", "cells": 3}]})
     assert timedelta(0) <= datetime.now(UTC) - stored.heartbeat_at < timedelta(minutes=1)
 

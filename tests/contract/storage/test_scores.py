@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from sqlalchemy import Connection
 from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set_ids, setup_id
 
 from drivecal.domain.campaigns import StageName
@@ -35,22 +36,20 @@ def test_scores_of_runs_and_of_their_keys(database: Database) -> None:
 
 
 @pytest.mark.parametrize("predicted", [False, True])
-def test_scores_of_cells(database: Database, predicted: bool) -> None:
-    with database.transaction() as connection:
-        sequence, setup = campaign(connection).sequence, setup_id(connection)
-        cells = [
-            cell(number, setup, one, predicted_score=score if predicted else None)
-            for number, (one, score) in enumerate(zip(sample_set_ids(connection, len(SCORES)), SCORES, strict=True))
-        ]
-        ids = evaluations.insert(connection, sequence, cells)
-        answers = [AnsweredCell(one, Outcome.SIMULATED, score, score, None) for one, score in zip(ids, SCORES, strict=True)]
-        evaluations.answer(connection, answers)
-    with database.read() as connection:
-        rows = list(results.stream(connection, sequence))
-        assert [repr(row.score) for row in rows] == SHOWN
-        assert [repr(row.predicted_score) for row in rows] == (SHOWN if predicted else ["None"] * len(SCORES))
-        answered: list[CellScore] = list(results.answers(connection, sequence, StageName.CALIBRATION, corrected_by=EVALUATOR))
-        assert [repr(each.score) for each in answered] == SHOWN
+def test_scores_of_cells(connection: Connection, predicted: bool) -> None:
+    sequence, setup = campaign(connection).sequence, setup_id(connection)
+    cells = [
+        cell(number, setup, one, predicted_score=score if predicted else None)
+        for number, (one, score) in enumerate(zip(sample_set_ids(connection, len(SCORES)), SCORES, strict=True))
+    ]
+    ids = evaluations.insert(connection, sequence, cells)
+    answers = [AnsweredCell(one, Outcome.SIMULATED, score, score, None) for one, score in zip(ids, SCORES, strict=True)]
+    evaluations.answer(connection, answers)
+    rows = list(results.stream(connection, sequence))
+    assert [repr(row.score) for row in rows] == SHOWN
+    assert [repr(row.predicted_score) for row in rows] == (SHOWN if predicted else ["None"] * len(SCORES))
+    answered: list[CellScore] = list(results.answers(connection, sequence, StageName.CALIBRATION, corrected_by=EVALUATOR))
+    assert [repr(each.score) for each in answered] == SHOWN
 
 
 def test_campaigns_of_other_setups_rated_nothing_that_is_asked_for(database: Database) -> None:
