@@ -41,21 +41,6 @@ def test_a_reader_gets_what_came_after_the_event_that_it_saw_last(connection: Co
     assert now() - notes[0].created_at < timedelta(minutes=1)
 
 
-def test_what_was_rolled_back_was_never_told(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaign(connection)
-
-    def fail() -> None:
-        with database.transaction() as connection:
-            campaigns.request_action(connection, stored.id, "cancel")
-            raise RuntimeError("on purpose")
-
-    with pytest.raises(RuntimeError, match="on purpose"):
-        fail()
-    with database.read() as connection:
-        assert told(connection, stored.sequence) == [("queued", "queued")]
-
-
 def test_every_change_of_state_is_told_once_and_asking_twice_tells_nothing_more(connection: Connection) -> None:
     stored = campaign(connection)
     sequence = stored.sequence

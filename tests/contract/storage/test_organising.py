@@ -34,9 +34,8 @@ def deleted(database: Database, stored: StoredCampaign) -> None:
     deletion.remove_cells(database, numbers)
 
 
-def listed(database: Database, *tags: str) -> list[str]:
-    with database.read() as connection:
-        page, _ = campaigns.page(connection, conditions=campaigns.having(tags))
+def listed(connection: Connection, *tags: str) -> list[str]:
+    page, _ = campaigns.page(connection, conditions=campaigns.having(tags))
     return [stored.name for stored in page]
 
 
@@ -75,32 +74,29 @@ def test_tags_are_added_and_removed_beside_those_of_others(connection: Connectio
     )
 
 
-def test_tags_are_told_apart_by_case(database: Database) -> None:
-    with database.transaction() as connection:
-        for name, tag in {"one": "Good", "two": "good"}.items():
-            campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=[tag]))
-    assert (listed(database, "good"), listed(database, "Good"), listed(database, "GOOD")) == (["two"], ["one"], [])
+def test_tags_are_told_apart_by_case(connection: Connection) -> None:
+    for name, tag in {"one": "Good", "two": "good"}.items():
+        campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=[tag]))
+    assert (listed(connection, "good"), listed(connection, "Good"), listed(connection, "GOOD")) == (["two"], ["one"], [])
 
 
-def test_lists_take_campaigns_with_all_tags(database: Database) -> None:
-    with database.transaction() as connection:
-        for name, tags in {"one": ["new", "a_b"], "two": ["new"], "three": ["ä"], "four": ["a%b", 'a"', 'b"x']}.items():
-            campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=tags))
-    assert listed(database) == ["four", "three", "two", "one"]
-    assert listed(database, "new") == ["two", "one"]
-    assert listed(database, "new", "a_b") == ["one"]
-    assert [listed(database, tag) for tag in ("ä", "a%b", 'a"', 'b"x')] == [["three"], ["four"], ["four"], ["four"]]
-    assert [listed(database, tag) for tag in ("%", "ne", "axb", "x")] == [[], [], [], []]
+def test_lists_take_campaigns_with_all_tags(connection: Connection) -> None:
+    for name, tags in {"one": ["new", "a_b"], "two": ["new"], "three": ["ä"], "four": ["a%b", 'a"', 'b"x']}.items():
+        campaigns.change_labels(connection, campaign(connection, name).id, CampaignChanges(tags=tags))
+    assert listed(connection) == ["four", "three", "two", "one"]
+    assert listed(connection, "new") == ["two", "one"]
+    assert listed(connection, "new", "a_b") == ["one"]
+    assert [listed(connection, tag) for tag in ("ä", "a%b", 'a"', 'b"x')] == [["three"], ["four"], ["four"], ["four"]]
+    assert [listed(connection, tag) for tag in ("%", "ne", "axb", "x")] == [[], [], [], []]
 
 
-def test_only_ended_campaigns_are_deleted(database: Database) -> None:
-    with database.transaction() as connection:
-        queued = campaign(connection)
-        with pytest.raises(ConflictError):
-            delete_campaign(connection, queued.id)
-        with pytest.raises(NotFoundError):
-            delete_campaign(connection, "0" * 32)
-    assert listed(database) == ["campaign"]
+def test_only_ended_campaigns_are_deleted(connection: Connection) -> None:
+    queued = campaign(connection)
+    with pytest.raises(ConflictError):
+        delete_campaign(connection, queued.id)
+    with pytest.raises(NotFoundError):
+        delete_campaign(connection, "0" * 32)
+    assert listed(connection) == ["campaign"]
 
 
 @pytest.mark.slow
@@ -111,9 +107,10 @@ def test_runs_of_a_deleted_campaign_answer_others(database: Database, monkeypatc
     simulated = sum(counts.simulated for counts in (first.counts(stage) for stage in first.stages))
     deleted(database, first)
     deleted(database, first)
-    with database.read() as connection, pytest.raises(NotFoundError):
-        campaigns.get(connection, first.id)
-    assert listed(database) == []
+    with database.read() as connection:
+        assert listed(connection) == []
+        with pytest.raises(NotFoundError):
+            campaigns.get(connection, first.id)
     assert runs(database) == stock
     assert 0 < cells(database, first) <= simulated
     assert [problem for check in verify(database) for problem in check.problems] == []
@@ -124,28 +121,27 @@ def test_runs_of_a_deleted_campaign_answer_others(database: Database, monkeypatc
 
 
 @pytest.mark.parametrize("use", ["rerun", "robustness", "validation", "map"])
-def test_a_campaign_that_others_refer_to_is_not_deleted(database: Database, use: str) -> None:
-    with database.transaction() as connection:
-        first = campaigns.request_action(connection, campaign(connection).id, "cancel")
-        common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
-        made = influence_maps.insert(connection, source=first.id, **common)
-        uses: dict[str, tuple[str, dict[str, Any]]] = {
-            "rerun": ("rerun of it", {"rerun_of": first.id}),
-            "robustness": ("study of it", {"spec": {"robustness": {"of": first.id}}}),
-            "validation": ("study of it", {"spec": {"validation": {"of": first.id}}}),
-            "map": ("use of its influence map", {"influence_map_id": made.id}),
-        }
-        said, columns = uses[use]
-        other = campaigns.insert(connection, **({"name": "other", "spec": {}} | columns))
-        assert deletion.references(connection, first) == {other.id: said}
-        with pytest.raises(ConflictError, match=other.id):
-            delete_campaign(connection, first.id)
-        campaigns.request_action(connection, other.id, "cancel")
-        delete_campaign(connection, other.id)
+def test_a_campaign_that_others_refer_to_is_not_deleted(connection: Connection, use: str) -> None:
+    first = campaigns.request_action(connection, campaign(connection).id, "cancel")
+    common: dict[str, Any] = {"name": "map", "driving_function": "frenet", "parameters": [], "scenarios": {}}
+    made = influence_maps.insert(connection, source=first.id, **common)
+    uses: dict[str, tuple[str, dict[str, Any]]] = {
+        "rerun": ("rerun of it", {"rerun_of": first.id}),
+        "robustness": ("study of it", {"spec": {"robustness": {"of": first.id}}}),
+        "validation": ("study of it", {"spec": {"validation": {"of": first.id}}}),
+        "map": ("use of its influence map", {"influence_map_id": made.id}),
+    }
+    said, columns = uses[use]
+    other = campaigns.insert(connection, **({"name": "other", "spec": {}} | columns))
+    assert deletion.references(connection, first) == {other.id: said}
+    with pytest.raises(ConflictError, match=other.id):
         delete_campaign(connection, first.id)
-        with pytest.raises(NotFoundError):
-            influence_maps.get(connection, made.id)
-    assert listed(database) == []
+    campaigns.request_action(connection, other.id, "cancel")
+    delete_campaign(connection, other.id)
+    delete_campaign(connection, first.id)
+    with pytest.raises(NotFoundError):
+        influence_maps.get(connection, made.id)
+    assert listed(connection) == []
 
 
 def test_an_interrupted_deletion_goes_on(database: Database) -> None:
@@ -155,7 +151,8 @@ def test_an_interrupted_deletion_goes_on(database: Database) -> None:
         evaluations.insert(connection, first.sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
         assert delete_campaign(connection, first.id) == first.sequence
-    assert (listed(database), cells(database, first)) == ([], 3)
+        assert listed(connection) == []
+    assert cells(database, first) == 3
     deleted(database, first)
     assert cells(database, first) == 0
 

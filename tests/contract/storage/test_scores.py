@@ -52,26 +52,23 @@ def test_scores_of_cells(connection: Connection, predicted: bool) -> None:
     assert [repr(each.score) for each in answered] == SHOWN
 
 
-def test_campaigns_of_other_setups_rated_nothing_that_is_asked_for(database: Database) -> None:
+def test_campaigns_of_other_setups_rated_nothing_that_is_asked_for(connection: Connection) -> None:
     def rated_all(evaluator: str, *fingerprints: str) -> bool:
-        with database.read() as connection:
-            return ratings.are_all_by(connection, evaluator, fingerprints)
+        return ratings.are_all_by(connection, evaluator, fingerprints)
 
     def start(spec: dict[str, Any], resolution: dict[str, Any] | None) -> int:
-        with database.transaction() as connection:
-            sequence = campaigns.insert(connection, name="x", spec=spec).sequence
-            campaigns.start(connection, sequence)
-            if resolution is not None:
-                campaigns.set_resolution(connection, sequence, resolution)
-            return sequence
+        sequence = campaigns.insert(connection, name="x", spec=spec).sequence
+        campaigns.start(connection, sequence)
+        if resolution is not None:
+            campaigns.set_resolution(connection, sequence, resolution)
+        return sequence
 
     assert rated_all("a 1", "f1")
     start({"robustness": None}, {"evaluator": "b 1", "setups": {"S1": "f1", "S2": "f2"}})
     assert (rated_all("a 1", "f2", "f3"), rated_all("a 1", "f3", "f4"), rated_all("b 1", "f1")) == (False, True, True)
     unknown = start({}, None)
     assert not rated_all("a 1", "f3")
-    with database.transaction() as connection:
-        campaigns.set_resolution(connection, unknown, {"evaluator": "b 1", "setups": {"S1": "f2"}})
+    campaigns.set_resolution(connection, unknown, {"evaluator": "b 1", "setups": {"S1": "f2"}})
     assert rated_all("a 1", "f3")
     start({"robustness": {"samples": 5}}, {"evaluator": "b 1", "setups": {"S1": "f2"}})
     assert not rated_all("a 1", "f3"), "it simulates other vehicles, whose setups it does not list"

@@ -60,27 +60,24 @@ def test_sums_are_over_all_campaigns_and_cells_wait_in_open_ones_only(database: 
     assert look(database).campaigns["calibration", "succeeded"] == 6
 
 
-def test_single_evaluations_are_counted_apart(database: Database) -> None:
-    with database.transaction() as connection:
-        stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
-        count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
-    result = look(database)
+def test_single_evaluations_are_counted_apart(connection: Connection) -> None:
+    stored = campaigns.insert(connection, name="one", spec={}, kind="evaluation")
+    count(connection, stored.sequence, calibration={"repeated": 2, "pending": 1})
+    result = statistics.read(connection)
     assert result.campaigns == {("evaluation", "queued"): 1}
     assert result.cells["evaluation", "repeated"] == 2
     assert result.pending["evaluation"] == 1
 
 
-def test_leases_of_the_current_term_are_those_at_workers(database: Database) -> None:
-    assert look(database).leases == 0
-    with database.transaction() as connection:
-        processes.elect(connection, processes.DISPATCHER, 1, now())
-        sequence, setup, sets = begun(connection, 4)
-        ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
-        leases.take(connection, dict.fromkeys(ids, 0))
-        leases.give_back(connection, {ids[0]: 1})
-    result = look(database)
+def test_leases_of_the_current_term_are_those_at_workers(connection: Connection) -> None:
+    assert statistics.read(connection).leases == 0
+    processes.elect(connection, processes.DISPATCHER, 1, now())
+    sequence, setup, sets = begun(connection, 4)
+    ids = evaluations.insert(connection, sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
+    leases.take(connection, dict.fromkeys(ids, 0))
+    leases.give_back(connection, {ids[0]: 1})
+    result = statistics.read(connection)
     assert result.leases == 3
     assert result.dispatcher is not None
-    with database.transaction() as connection:
-        processes.elect(connection, processes.DISPATCHER, 2, now())
-    assert look(database).leases == 0
+    processes.elect(connection, processes.DISPATCHER, 2, now())
+    assert statistics.read(connection).leases == 0

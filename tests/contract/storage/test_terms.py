@@ -23,16 +23,13 @@ def elect(database: Database, pid: int = 1) -> Database:
     return database.fenced(partial(processes.confirm, name="dispatcher", term=term))
 
 
-def test_every_election_begins_a_new_term_which_heartbeats_leave_alone(database: Database) -> None:
-    with database.read() as connection:
-        assert processes.term_in_office(connection) == 0
+def test_every_election_begins_a_new_term_which_heartbeats_leave_alone(connection: Connection) -> None:
+    assert processes.term_in_office(connection) == 0
     for term in (1, 2, 3):
-        with database.transaction() as connection:
-            assert processes.elect(connection, "dispatcher", 10 + term, now()) == term
-            processes.heartbeat(connection, "dispatcher", 10 + term, now(), {"workers": []})
-        with database.read() as connection:
-            stored = processes.read(connection, "dispatcher")
-            assert processes.term_in_office(connection) == term
+        assert processes.elect(connection, "dispatcher", 10 + term, now()) == term
+        processes.heartbeat(connection, "dispatcher", 10 + term, now(), {"workers": []})
+        stored = processes.read(connection, "dispatcher")
+        assert processes.term_in_office(connection) == term
         assert stored is not None
         assert (stored.term, stored.pid) == (term, 10 + term)
 
