@@ -4,19 +4,14 @@ from typing import Any
 
 import pytest
 from tests.support.computed import ComputedBackend
-from tests.support.runs import SHORT, WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run
+from tests.support.runs import SHORT, WITH_ANALYSIS, dispatcher, get, influenced, rows_of, run, told_of
 from tests.support.values import present
 
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.campaigns import StageName
-from drivecal.storage import campaigns, events, generations
+from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-
-
-def told(database: Database, campaign: StoredCampaign) -> list[tuple[str, dict[str, Any]]]:
-    with database.read() as connection:
-        return [(item.kind, dict(item.data)) for item in events.since(connection, campaign.sequence, 0, 1_000)]
 
 
 def analysed(database: Database, settings: dict[str, Any] = SHORT) -> StoredCampaign:
@@ -31,10 +26,10 @@ def analysed(database: Database, settings: dict[str, Any] = SHORT) -> StoredCamp
 def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(database: Database) -> None:
     campaign = analysed(database, WITH_ANALYSIS)
     ended = run(database, campaign, ComputedBackend(answer=influenced))
-    kinds = [kind for kind, _ in told(database, campaign)]
+    kinds = [event.kind for event in told_of(database, campaign)]
     by_kind: dict[str, list[dict[str, Any]]] = {}
-    for kind, data in told(database, campaign):
-        by_kind.setdefault(kind, []).append(data)
+    for event in told_of(database, campaign):
+        by_kind.setdefault(event.kind, []).append(dict(event.data))
     assert kinds[:3] == ["queued", "running", "stage"]
     after = kinds[len(kinds) - kinds[::-1].index("generation") :]
     assert [kind for kind in after if kind != "note"] == ["succeeded"], "the best set may have been confirmed"
@@ -59,7 +54,7 @@ def test_a_campaign_tells_its_stages_its_generations_and_every_better_set(databa
 def test_a_phase_counts_no_cell_of_the_next_one_that_is_answered_at_once(database: Database) -> None:
     run(database, analysed(database), ComputedBackend(answer=influenced))
     again = run(database, analysed(database), ComputedBackend(answer=influenced))
-    first = next(data for kind, data in told(database, again) if kind == "phase")
+    first = next(event.data for event in told_of(database, again) if event.kind == "phase")
     cells = [row for row in rows_of(database, again) if (row.stage, row.iteration) == (StageName.SENSITIVITY, 0)]
     assert first["requested"] == len(cells)
 
@@ -67,10 +62,10 @@ def test_a_phase_counts_no_cell_of_the_next_one_that_is_answered_at_once(databas
 def test_the_revision_changes_with_whatever_happens(database: Database) -> None:
     campaign, working = analysed(database), dispatcher(database, ComputedBackend(answer=influenced))
     before = get(database, campaign)
-    events_before = len(told(database, campaign))
+    events_before = len(told_of(database, campaign))
     for _ in range(5_000):
         working.step()
-        after, events_after = get(database, campaign), len(told(database, campaign))
+        after, events_after = get(database, campaign), len(told_of(database, campaign))
         if (after, events_after) != (before, events_before):
             assert after.revision > before.revision
         before, events_before = after, events_after

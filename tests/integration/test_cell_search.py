@@ -13,7 +13,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import everything, get, run, submit
+from tests.support.runs import everything, get, rows_of, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
@@ -21,7 +21,6 @@ from drivecal.campaigns.stages import cell_search
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.constraints import Constraint, Constraints
-from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -45,8 +44,7 @@ def test_a_budget_is_used_up_exactly_and_cells_of_sets_that_cannot_win_are_in_no
     assert ended.cells.discarded > 0
     assert ended.cells.proposed == ended.cells.requested == 53
     best = present(ended.best).parameters
-    with database.read() as connection:
-        rows = [row for row in results.stream(connection, ended.sequence) if row.parameters.floats == best]
+    rows = [row for row in rows_of(database, ended) if row.parameters.floats == best]
     assert {row.scenario for row in rows} == {"S1", "S2", "S3"}
 
 
@@ -75,8 +73,7 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 30, True)
     assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 30)  # the three best stored sets
     further = carried_out(database, likeness="c", **spec | {"catalogue": ["S1", "S2", "S3", "S4"]})
-    with database.read() as connection:
-        begun = next(iter(results.stream(connection, further.sequence))).parameters.floats
+    begun = rows_of(database, further)[0].parameters.floats
     assert begun == present(first.best).parameters, "no stored set has S4, where all count alike"
 
 

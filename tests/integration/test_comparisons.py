@@ -8,7 +8,7 @@ from sqlalchemy import update
 from tests.support.comparisons import TWO_OPTIMIZERS, finish_comparison, read_comparison, runs_of, submit_comparison
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
-from tests.support.runs import EXPERT_SPACE, everything, get, nothing_matters, post_map, run, submit
+from tests.support.runs import EXPERT_SPACE, everything, get, nothing_matters, post_map, rows_of, run, submit
 
 from drivecal.api import submission
 from drivecal.api.dependencies import Limits
@@ -16,7 +16,6 @@ from drivecal.campaigns import comparison
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.domain.errors import ConflictError, NotFoundError, OverloadError
-from drivecal.storage import results
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
 
@@ -39,8 +38,7 @@ def test_common_cells_are_simulated_once_and_counted_by_each(compared: Compared)
     campaigns = runs_of(database, tag)
     assert len(backend.sent) < sum(campaign.cells.simulated for campaign in campaigns)
     for campaign in campaigns:
-        with database.read() as connection:
-            rows = list(results.stream(connection, campaign.sequence))
+        rows = rows_of(database, campaign)
         distinct = {(row.scenario, *row.parameters.floats.values()) for row in rows}
         assert campaign.cells.simulated == len(distinct), "what it would have taken alone"
         assert campaign.cells.repeated == len(rows) - len(distinct)

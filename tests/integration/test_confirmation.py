@@ -8,7 +8,7 @@ import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import post_map, rows_of, run, submit
+from tests.support.runs import post_map, rows_of, run, submit, told_of
 from tests.support.values import present
 
 from drivecal.analysis.verdicts import confirmation_verdict
@@ -18,7 +18,7 @@ from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.campaign import Best
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import events, generations, results
+from drivecal.storage import generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import verify
@@ -80,8 +80,7 @@ def test_the_best_set_is_simulated_and_ranked_anew(confirmed: tuple[Database, St
     assert campaign.best.scores == cells
     known = present(campaign.confirmation)
     assert (known.state, known.objective, known.believed) == ("confirmed", campaign.best.objective, plain.best.objective)
-    with database.read() as connection:
-        told = events.since(connection, campaign.sequence, 0, 1_000)
+    told = told_of(database, campaign)
     notes, best = ([event.data for event in told if event.kind == kind] for kind in ("note", "best"))
     assert notes[-1]["text"] == confirmation_verdict(known).text
     assert plain.best.objective in {item["objective"] for item in best}

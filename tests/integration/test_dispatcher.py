@@ -10,7 +10,7 @@ from sqlalchemy import select
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.problems import store, submit_checked
-from tests.support.runs import SMALL, dispatcher, everything, finish, get, request, submit
+from tests.support.runs import SMALL, dispatcher, everything, finish, get, request, rows_of, submit
 from tests.support.values import present
 
 from drivecal.api.responses import campaign_answer
@@ -23,7 +23,7 @@ from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
-from drivecal.storage import campaigns, generations, results
+from drivecal.storage import campaigns, generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import runs
@@ -53,9 +53,8 @@ def test_a_campaign_runs_to_its_end_and_every_cell_has_its_answer(database: Data
     assert ended.best is not None
     assert ended.best.alternatives >= 1
     with database.read() as connection:
-        rows = list(results.stream(connection, ended.sequence))
         figures, _ = generations.page(connection, ended.sequence)
-    assert len(rows) == ended.cells.requested
+    assert len(rows_of(database, ended)) == ended.cells.requested
     assert sum(each.simulated for each in figures) == ended.cells.simulated
     best = max(each.best or 0 for each in figures)
     assert best == ended.best.objective

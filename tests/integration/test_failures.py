@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from tests.support.computed import ComputedBackend
 from tests.support.problems import RANDOM, scored, store, submit_checked
-from tests.support.runs import dispatcher, finish
+from tests.support.runs import dispatcher, finish, told_of
 
 from drivecal.analysis.savings import account
 from drivecal.campaigns.results.failures import causes_of
@@ -100,8 +100,7 @@ def test_scores_without_a_value_are_noted_and_told_once(database: Database) -> N
     campaign = submit(database)
     ended = run(database, campaign, Simulated(undefined=0.5))
     assert any(f"{ended.cells.unscored}" in note and "no value" in note for note in ended.notes)
-    with database.read() as connection:
-        told = [each for each in events.since(connection, campaign.sequence, 0, 1_000) if "division by zero" in str(each.data)]
+    told = [each for each in told_of(database, campaign) if "division by zero" in str(each.data)]
     assert len(told) == 1
     again = run(database, submit(database), Simulated())
     assert (again.cells.unscored, again.cells.simulated) == (ended.cells.unscored, 0)
@@ -114,8 +113,8 @@ def test_scores_that_are_cut_off_are_counted_noted_and_told_once(database: Datab
     ended = run(database, submit(database), Simulated())
     assert 0 < ended.cells.cut < ended.cells.simulated
     assert any(f"{ended.cells.cut}" in note and "`failed`" in note for note in ended.notes)
+    told = [event for event in told_of(database, ended) if "1.5, the worth" in str(event.data)]
     with database.read() as connection:
-        told = [event for event in events.since(connection, ended.sequence, 0, 1_000) if "1.5, the worth" in str(event.data)]
         assert list(check_counters(connection)) == []
     assert [event.data["text"].split(": ")[1] in {"city", "road"} for event in told] == [True]
     store(database, MANIFEST | {"scores": {"cost": score | {"failed": 2.5}}})

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 from fastapi.testclient import TestClient
 from tests.support.computed import ComputedBackend
-from tests.support.runs import run, submit
-from tests.support.values import faults_of, present
+from tests.support.runs import rows_of, run, study_of, submit
+from tests.support.values import faults_of
 
 from drivecal.api.app import create_app
 from drivecal.bundles.highway import Scenario
@@ -26,7 +26,7 @@ from drivecal.domain.constraints import Constraint
 from drivecal.domain.parameters import Parameter
 from drivecal.plugins import registry
 from drivecal.plugins.ports import Planner
-from drivecal.storage import campaigns, results, studies
+from drivecal.storage import campaigns
 from drivecal.storage.engine.database import Database
 
 WANTED: dict[str, Any] = {"driving_function": "mixed", "parameters": "all", "catalogue": ["S1", "S2"], "name": "mixed"}
@@ -96,12 +96,10 @@ def test_a_map_of_every_kind_answers_and_is_validated(database: Database) -> Non
     ended = run(database, submit(database, **wanted), ComputedBackend(answer=rated))
     assert ended.cells.reused > 0
     assert all(not rate.wrong for rate in ended.error_rate.values())
-    with database.read() as connection:
-        rows = list(results.stream(connection, ended.sequence))
-        validated = studies.get(connection, ended.sequence, StageName.VALIDATION)
-    assert {row.parameters.floats["mode"] for row in rows} == {"eco", "sport", "winter"}
-    assert sum(row["compared"] for row in present(validated)["items"]) > 0
-    assert [row["wrong"] for row in present(validated)["items"]] == [0, 0]
+    validated = study_of(database, ended, StageName.VALIDATION)["items"]
+    assert {row.parameters.floats["mode"] for row in rows_of(database, ended)} == {"eco", "sport", "winter"}
+    assert sum(row["compared"] for row in validated) > 0
+    assert [row["wrong"] for row in validated] == [0, 0]
     space = resolved_spec(ended).space
     assert [parameter.kind for parameter in space.parameters] == ["continuous", "grid", "integer", "choice", "choice"]
     assert space.parameters[3].choices == ("eco", "sport", "winter")

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.computed import ComputedBackend, rating_of
-from tests.support.runs import get, nothing_matters, post_map, run, submit
+from tests.support.runs import get, nothing_matters, post_map, rows_of, run, study_of, submit
 from tests.support.several import SEARCH, SEVERAL, installed
 from tests.support.values import present
 
@@ -15,8 +15,6 @@ from drivecal.api.tables.front import front_table
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking, answers_of, front_of
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.domain.campaigns import StageName
-from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
@@ -63,8 +61,7 @@ def test_a_score_and_a_measure_are_searched_together(database: Database) -> None
     assert front == sorted(front, key=lambda each: -each[0])
     assert [each[1] for each in front] == sorted((each[1] for each in front), reverse=True)
     assert present(ended.best).objective == pytest.approx(front[0][0])
-    with database.read() as connection:
-        asked = {(row.iteration, row.individual): row.parameters for row in results.stream(connection, ended.sequence)}
+    asked = {(row.iteration, row.individual): row.parameters for row in rows_of(database, ended)}
     resolved = resolved_spec(ended)
     bare = SEVERAL.create(SEVERAL.settings.model_validate(SEARCH), resolved.space.n_values)
     for iteration in range(SEARCH["iterations"]):
@@ -99,8 +96,7 @@ def test_the_robustness_of_every_set_of_the_front_is_examined(database: Database
     front = {member.solution.parameter_set for member in ranking_of(database, ended).front()}
     with database.read() as connection:
         sets = parameter_sets.load(connection, sorted(front))
-        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
-    examined = [item["parameters"] for item in present(study)["items"]]
+    examined = [item["parameters"] for item in study_of(database, ended)["items"]]
     assert len(examined) == len(front) > 1
     assert all(each.floats in examined for each in sets.values())
     rows = front_table(front_of(StoredRanking.of(database, ended)))
@@ -118,10 +114,9 @@ def test_sets_that_share_the_best_objective_and_keep_the_constraints_are_examine
     listed = ranking_of(database, ended).best_first()
     good = [each for each in listed if each.violation == 0 and each.objective >= listed[0].objective - 1e-9]
     with database.read() as connection:
-        study = studies.get(connection, ended.sequence, StageName.ROBUSTNESS)
         sets = parameter_sets.load(connection, [each.parameter_set for each in good])
     assert 1 <= len(good) < len(listed)
-    examined = {tuple(item["parameters"].values()): item["objective"] for item in present(study)["items"]}
+    examined = {tuple(item["parameters"].values()): item["objective"] for item in study_of(database, ended)["items"]}
     expected = {tuple(sets[each.parameter_set].floats.values()): pytest.approx(each.objective) for each in good}
     assert examined == expected
 
@@ -137,11 +132,10 @@ def test_the_recommended_set_has_the_best_objective_and_keeps_the_constraints(da
         "robustness": {"delta": 0.05, "steps": 1, "samples": 2, "sets": [named]},
     }
     ended = run(database, submit(database, **spec), backend())
-    with database.read() as connection:
-        study = present(studies.get(connection, ended.sequence, StageName.ROBUSTNESS))
-    [recommended] = [item for item in study["items"] if item["recommended"]]
+    items = study_of(database, ended)["items"]
+    [recommended] = [item for item in items if item["recommended"]]
     assert recommended["objective"] == min(recommended["scores"].values()) == present(ended.best).objective
     assert recommended["parameters"] != named
-    assert all(item["objective"] == min(item["scores"].values()) for item in study["items"])
-    [also] = [item for item in study["items"] if item["parameters"] == named]
+    assert all(item["objective"] == min(item["scores"].values()) for item in items)
+    [also] = [item for item in items if item["parameters"] == named]
     assert not also["recommended"]

@@ -24,6 +24,7 @@ from tests.support.runs import (
     run,
     run_posted,
     step_until,
+    study_of,
     submit,
 )
 from tests.support.server import RunningApi
@@ -213,12 +214,9 @@ def test_released_predictions_are_simulated_afterwards_by_a_study(predicted: tup
     validation = {"of": campaign.id, "samples": 1_000_000}
     study = submit(database, parameters=SPACE, catalogue=["S1", "S2"], optimizer=None, validation=validation)
     ended = run(database, study, ComputedBackend(answer=slowly))
-    with database.read() as connection:
-        from drivecal.storage import studies
-
-        document = studies.get(connection, ended.sequence, StageName.VALIDATION)
+    rows = study_of(database, ended, StageName.VALIDATION)["items"]
     released = [row for row in rows_of(database, campaign) if row.outcome is Outcome.PREDICTED]
-    for row in present(document)["items"]:
+    for row in rows:
         here = [cell for cell in released if cell.scenario == row["scenario"]]
         differences = [(cell.score or 0) - (slowly(cell.scenario, Cell(1, cell.parameters.floats)).score or 0) for cell in here]
         assert (row["released"], row["compared"]) == (len(here), len(here))

@@ -5,13 +5,12 @@ from typing import Any
 import pytest
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import RANDOM, scored, store, submit_checked
-from tests.support.runs import finish, get, request
+from tests.support.runs import finish, get, request, rows_of
 
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.execution.pool import Leases, WorkPool
-from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -71,8 +70,7 @@ def test_a_campaign_keeps_its_answer_over_restarts(database: Database) -> None:
     begin(database, campaign, dispatcher(database, on("1.0")))
     restarted = ended(database, campaign, FakeBackend(tools={1: "2.0", 2: "1.0"}))
     assert (restarted.state, restarted.cells.simulated) == (CampaignState.SUCCEEDED, CELLS)
-    with database.read() as connection:
-        assert len({row.setup_id for row in results.stream(connection, campaign.sequence)}) == 2
+    assert len({row.setup_id for row in rows_of(database, campaign)}) == 2
 
 
 def test_a_campaign_whose_tools_are_gone_ends_with_both_answers(database: Database) -> None:

@@ -20,7 +20,7 @@ from tests.support.databases import migrated
 from tests.support.deaths import Killed
 from tests.support.documentation import DOCS, blocks
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import dispatcher, everything, finish, get, rows_of, run
+from tests.support.runs import dispatcher, everything, finish, get, rows_of, run, study_of
 from tests.support.values import faults_of, present
 
 from drivecal.analysis.robustness import directions, vehicles
@@ -33,7 +33,7 @@ from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.domain.vehicles import VehicleParameter
-from drivecal.storage import evaluations, generations, studies
+from drivecal.storage import evaluations, generations
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance.consistency import check_counters
@@ -212,9 +212,7 @@ def test_a_study_of_another_campaign_chooses_by_the_seeds_that_chose_there(tmp_p
     robust = {"of": searched.id, "delta": 0.05, "steps": 1, "samples": 2, "solutions": 1}
     own: dict[str, Any] = {"optimizer": None, "budget": None, "replicates": {"most": 5}}
     study = carried_out(database, driven=alike, robustness=robust, **own)
-    with database.read() as connection:
-        document = studies.get(connection, study.sequence, StageName.ROBUSTNESS)
-    assert [row["parameters"] for row in present(document)["items"]] == [present(searched.best).parameters]
+    assert [row["parameters"] for row in study_of(database, study)["items"]] == [present(searched.best).parameters]
 
 
 @pytest.mark.slow
@@ -237,17 +235,15 @@ def test_the_runs_that_a_study_compares_have_one_seed_and_others_have_others(tmp
     rows = rows_of(database, ended)
     with database.read() as connection:
         influence = influence_maps.get(connection, present(ended.influence_map_id)).scenarios
-        robustness, validation = (
-            studies.get(connection, ended.sequence, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION)
-        )
+    robustness, validation = (study_of(database, ended, stage) for stage in (StageName.ROBUSTNESS, StageName.VALIDATION))
     assert {name: each["influential"] for name, each in influence["city"].items()} == {"x": True, "z": False}
     for stage, seeds in ((StageName.SENSITIVITY, 4), (StageName.ROBUSTNESS, 3), (StageName.VALIDATION, 3)):
         assert {row.seed for row in rows if row.stage is stage} == set(range(1, seeds + 1))
     masses = vehicles([VehicleParameter("mass", "kg", 2, 1, 3)], {"mass": 2}, 0.1, directions(1, 3, 1, 1))
-    first, second = present(robustness)["items"]
+    first, second = robustness["items"]
     assert first["trials"][0]["deviations"]["city"] == pytest.approx(0.1 * abs(masses[1]["mass"] - 2))
     assert (first["replicates"], first["objective"], second["objective"]) == (3, pytest.approx(13 / 3), pytest.approx(14 / 3))
-    assert [(row["wrong"], row["different"], row["compared"] > 0) for row in present(validation)["items"]] == [(0, 0, True)] * 2
+    assert [(row["wrong"], row["different"], row["compared"] > 0) for row in validation["items"]] == [(0, 0, True)] * 2
 
 
 RATED: dict[str, Any] = {

@@ -8,7 +8,7 @@ import pytest
 from tests.support.changes import install
 from tests.support.computed import ComputedBackend
 from tests.support.problems import LIMITS, scored, store, submit_checked
-from tests.support.runs import WITH_ANALYSIS, influenced, run
+from tests.support.runs import WITH_ANALYSIS, influenced, rows_of, run
 from tests.support.values import numbers, present
 
 from drivecal.api import submission
@@ -24,7 +24,6 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, Rating
 from drivecal.domain.setups import Setup
 from drivecal.highway.comfort.reference import Manoeuvre
-from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -73,8 +72,7 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     experts = [{"P1": 1, "P2": 0, "P3": 0.9, "P4": 0.1}, baseline, {"P1": 0, "P2": 1, "P3": 0.1, "P4": 0.9}]
     optimizer = WITH_ANALYSIS["optimizer"] | {"start_sets": experts}
     ended = _run(database, baseline=baseline, optimizer=optimizer)
-    with database.read() as connection:
-        rows = [row for row in results.stream(connection, ended.sequence) if row.stage is StageName.CALIBRATION]
+    rows = [row for row in rows_of(database, ended) if row.stage is StageName.CALIBRATION]
     first = {row.individual: numbers(row.parameters) for row in rows if row.iteration == 0}
     given = [{name: first[place][name] for name in baseline} for place in range(3)]
     assert given == [baseline, experts[0], experts[2]], "each once"
@@ -92,10 +90,10 @@ def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(data
     assert again.counts(StageName.SENSITIVITY).repeated > 0.7 * again.counts(StageName.SENSITIVITY).requested
     assert again.cells.repeated + again.cells.reused > 0
     with database.read() as connection:
-        rows = list(results.stream(connection, again.sequence))
         made = influence_maps.get(connection, again.influence_map_id or "none")
     assert present(made.basis)["evaluator"] == "strict 7"
     assert map_from_document(made.scenarios).influence("S1", "P1").influential
+    rows = rows_of(database, again)
     for row in rows:
         if row.outcome is not Outcome.REUSED:
             expected = strict_answer(row.scenario, Cell(1, numbers(row.parameters)))
@@ -125,8 +123,7 @@ def test_ratings_are_added_in_chunks_to_what_the_campaign_sees_and_once(database
 @pytest.mark.usefixtures("strict")
 def test_a_single_evaluation_by_another_evaluator_is_answered_from_the_stored_run(database: Database) -> None:
     first = _run(database, sensitivity=None, optimizer={"kind": "random", "population": 6, "iterations": 1})
-    with database.read() as connection:
-        row = next(row for row in results.stream(connection, first.sequence) if row.scenario == "S1" and not row.failure)
+    row = next(row for row in rows_of(database, first) if row.scenario == "S1" and not row.failure)
     wanted = EvaluationSpecification(parameters={**numbers(row.parameters)}, scenario="S1", evaluator="strict")
     backend = ComputedBackend(answer=strict_answer)
     ended = run(database, submission.evaluate(database, LIMITS, wanted, None), backend)

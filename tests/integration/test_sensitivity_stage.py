@@ -3,13 +3,12 @@
 from typing import Any
 
 from tests.support.computed import ComputedBackend
-from tests.support.runs import SHORT, WITH_ANALYSIS, influenced, run, submit
+from tests.support.runs import SHORT, WITH_ANALYSIS, influenced, rows_of, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve.maps import map_from_document
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -44,8 +43,7 @@ def test_the_stage_finds_where_parameters_matter_and_the_calibration_uses_it(dat
 
 def test_the_runs_of_the_analysis_are_references_from_the_first_population_on(database: Database) -> None:
     ended = _run(database)
-    with database.read() as connection:
-        rows = {row.id: row for row in results.stream(connection, ended.sequence)}
+    rows = {row.id: row for row in rows_of(database, ended)}
     stages = {row.id: row.stage for row in rows.values()}
     first = [row for row in rows.values() if row.stage is StageName.CALIBRATION and row.iteration == 0]
     assert any(row.outcome is Outcome.REUSED and stages[row.reference or 0] is StageName.SENSITIVITY for row in first)

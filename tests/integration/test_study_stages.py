@@ -18,6 +18,7 @@ from tests.support.runs import (
     post_map,
     rows_of,
     run,
+    study_of,
     submit,
     without_starts,
 )
@@ -33,7 +34,6 @@ from drivecal.contracts.work import Cell, CellResult, SetupRequest
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -51,18 +51,11 @@ def heavy(setup: SetupRequest, cell: Cell) -> CellResult:
     return CellResult(cell.id, rating, int(rating), {"rating": rating}, None, 5.0)
 
 
-def study(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
-    with database.read() as connection:
-        document = studies.get(connection, campaign.sequence, stage)
-    assert document is not None
-    return document
-
-
 def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
     named = [{f"P{i}": (share if i == 1 else 0.5) for i in range(1, 12)} for share in (0.0, 0.5, 1.0)]
     campaign = submit(database, optimizer=None, robustness={**ROBUST, "sets": named})
     ended = run(database, campaign, ComputedBackend(driven=heavy))
-    result = study(database, ended)
+    result = study_of(database, ended)
     assert result["complete"]
     assert [row["parameters"]["P1"] for row in result["items"]] == [1.0, 0.5, 0.0]
     assert [row["degree"] for row in result["items"]] == [4, 2, 0]
@@ -85,7 +78,7 @@ def test_sets_are_ranked_by_what_vehicles_they_bear(database: Database) -> None:
 def test_the_best_sets_of_a_calibration_are_examined_one_of_each_region_first(database: Database) -> None:
     campaign = submit(database, robustness=ROBUST)
     ended = run(database, campaign, ComputedBackend(driven=heavy))
-    result = study(database, ended)["items"]
+    result = study_of(database, ended)["items"]
     assert len(result) == 5
     assert {row["objective"] for row in result} == {present(ended.best).objective}
     assert max(row["region"] for row in result) >= 1
@@ -96,12 +89,7 @@ def test_scores_that_were_references_are_simulated_in_the_nominal_vehicle_first(
     stored_map = post_map(database, nothing_matters())
     campaign = submit(database, stored_map=stored_map, robustness={**ROBUST, "steps": 1}, reduction={"audit": 0.0})
     ended = run(database, campaign, ComputedBackend(driven=heavy))
-    with database.read() as connection:
-        first = [
-            row
-            for row in results.stream(connection, ended.sequence)
-            if row.stage is StageName.ROBUSTNESS and row.iteration == 0
-        ]
+    first = [row for row in rows_of(database, ended) if row.stage is StageName.ROBUSTNESS and row.iteration == 0]
     assert {row.outcome for row in first} == {Outcome.SIMULATED, Outcome.REPEATED}
 
 
@@ -114,7 +102,9 @@ def test_a_study_of_another_campaign_chooses_its_sets_by_scores_that_simulations
     )
     robust = {"of": searched.id, "delta": 0.05, "steps": 1, "samples": 2, "solutions": 5}
     first, second = (
-        study(database, run(database, submit(database, optimizer=None, robustness=robust), ComputedBackend(answer=influenced)))
+        study_of(
+            database, run(database, submit(database, optimizer=None, robustness=robust), ComputedBackend(answer=influenced))
+        )
         for _ in range(2)
     )
     believed = present(searched.best)
@@ -146,7 +136,7 @@ def test_a_vehicle_without_a_result_ends_the_growing_of_boxes(database: Database
     named = [dict.fromkeys((f"P{i}" for i in range(1, 12)), 0.5)]
     campaign = submit(database, optimizer=None, catalogue=["S1"], robustness={**ROBUST, "sets": named})
     ended = run(database, campaign, ComputedBackend(driven=fragile))
-    row = study(database, ended)["items"][0]
+    row = study_of(database, ended)["items"][0]
     assert row["degree"] == 2
     assert row["trials"][-1]["deviations"] == {"S1": None}
     assert ended.counts(StageName.ROBUSTNESS).failed > 0
@@ -164,7 +154,7 @@ def test_a_dispatcher_killed_at_any_moment_of_analysis_and_studies_changes_nothi
             influences = influence_maps.get(connection, ended.influence_map_id or "none").scenarios
         own = [(row.stage, row.iteration, row.individual) for row in rows_of(database, campaign)]
         counts = [without_starts(ended.counts(stage)) for stage in (StageName.SENSITIVITY, *STUDIES)]
-        return everything(database, campaign), own, counts, influences, [study(database, ended, stage) for stage in STUDIES]
+        return everything(database, campaign), own, counts, influences, [study_of(database, ended, stage) for stage in STUDIES]
 
     ends = ends_in_spite_of_deaths(tmp_path, begin, lambda moment: ComputedBackend(moment, answer=influenced), find, STRIDE)
     assert len(ends) > tries(3, 10)
@@ -183,7 +173,7 @@ def test_validation_counts_variants_that_differ_where_the_map_says_that_they_can
         validation={"samples": 20, "references": 5},
     )
     ended = run(database, campaign, ComputedBackend(answer=influenced))
-    one, two = study(database, ended, StageName.VALIDATION)["items"]
+    one, two = study_of(database, ended, StageName.VALIDATION)["items"]
     assert (one["scenario"], two["scenario"]) == ("S1", "S2")
     assert one["reducible"] == 10
     assert one["covered"] == one["effects"] == 2**10 - 1
@@ -200,7 +190,7 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     stored_map = post_map(database, {"S1": {"P1": {"influential": True}}})
     campaign = submit(database, stored_map=stored_map, optimizer=None, validation={"samples": 20})
     ended = run(database, campaign)
-    document = study(database, ended, StageName.VALIDATION)
+    document = study_of(database, ended, StageName.VALIDATION)
     assert ended.state is CampaignState.SUCCEEDED
     assert [row["scenario"] in note for row, note in zip(document["items"], document["notes"], strict=True)] == [True] * 3
     assert all(row["compared"] == 0 and row["error_rate"] is None for row in document["items"])

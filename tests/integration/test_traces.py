@@ -11,7 +11,7 @@ import httpx
 import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.problems import REPLAY, ROADS, replayed, store
-from tests.support.runs import dispatcher, get, run, submit
+from tests.support.runs import dispatcher, get, rows_of, run, submit
 from tests.support.server import RunningApi
 from tests.support.values import MIDDLE, present
 
@@ -20,7 +20,7 @@ from drivecal.contracts.evaluation import SeriesAnswer
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins import registry
-from drivecal.storage import campaigns, results, traces
+from drivecal.storage import campaigns, traces
 from drivecal.storage.engine.types import now
 
 SERIES = {"s_m": [0.1, 3.0], "speed_mps": [30.0, 29.5]}
@@ -96,8 +96,7 @@ def test_a_cell_of_a_campaign_is_driven_in_the_very_vehicle_that_it_had(api: Run
     mass = registry.vehicle("single_track").parameters[0]
     heavy = {"model": "single_track", "parameters": {mass.name: mass.maximum}}
     campaign = run(api.database, submit(api.database, vehicle=heavy), ComputedBackend())
-    with api.database.read() as connection:
-        row = next(item for item in results.stream(connection, campaign.sequence) if item.scenario == "S3")
+    row = next(item for item in rows_of(api.database, campaign) if item.scenario == "S3")
     assert ask(api, row.id).status_code == 202
     with api.database.read() as connection:
         wanted = present(traces.find(connection, row.id))
@@ -105,8 +104,7 @@ def test_a_cell_of_a_campaign_is_driven_in_the_very_vehicle_that_it_had(api: Run
     work(api)
     assert ask(api, row.id).status_code == 200
     assert made.spec["vehicle"]["parameters"][mass.name] == mass.maximum
-    with api.database.read() as connection:
-        [cell], _ = results.page(connection, made.sequence)
+    [cell] = rows_of(api.database, made)
     assert (cell.setup_id, cell.parameter_set_id, cell.scenario) == (row.setup_id, row.parameter_set_id, "S3")
     assert (cell.score, cell.run_id) == (row.score, row.run_id) or row.outcome == "reused"
     assert get(api.database, made).cells.unrepeatable == 0

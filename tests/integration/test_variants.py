@@ -8,14 +8,13 @@ import pytest
 from tests.support.computed import ComputedBackend, computed
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
-from tests.support.runs import everything, get, submit
+from tests.support.runs import everything, get, rows_of, submit
 
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.ranking import solution_pages, variants_of
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.work import Cell, CellResult
-from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -44,9 +43,8 @@ def test_each_variant_has_its_best_set(database: Database, search: dict[str, Any
     stored = StoredRanking(database, ended, resolved)
     by_set: dict[int, dict[str, float]] = {}
     assert list(resolved.weights) == ["S1", "S1@us", "S2", "S2@us", "S3@us"], "jp shares the vehicle of us"
-    with database.read() as connection:
-        for row in results.stream(connection, ended.sequence):
-            by_set.setdefault(row.parameter_set_id, {})[row.scenario] = float(row.score or 0)
+    for row in rows_of(database, ended):
+        by_set.setdefault(row.parameter_set_id, {})[row.scenario] = float(row.score or 0)
     known = {
         name: {each: sum(w * cells[s] for s, w in own.items()) for each, cells in by_set.items() if own.keys() <= cells.keys()}
         for name, own in SHARES.items()

@@ -11,7 +11,7 @@ import pytest
 from tests.support.deaths import InterceptedDatabase
 from tests.support.fake_backend import FakeBackend
 from tests.support.problems import store
-from tests.support.runs import dispatcher, get, step_until, submit
+from tests.support.runs import dispatcher, get, step_until, submit, told_of
 from tests.support.scripted import Answer, Request, listening
 
 from drivecal.api import submission
@@ -26,7 +26,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.events import EventKind
 from drivecal.execution.pool import Leases, WorkPool
 from drivecal.execution.scheduling.resources import Resources
-from drivecal.storage import campaigns, events, processes
+from drivecal.storage import campaigns, processes
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 
@@ -163,9 +163,7 @@ LICENSED: dict[str, Any] = {
 
 def stalls(database: Database, campaign: StoredCampaign) -> list[str]:
     """The reasons of the stalls that were told."""
-    with database.read() as connection:
-        told = events.since(connection, campaign.sequence, 0, 1000)
-    return [event.data["reason"] for event in told if event.kind == EventKind.STALLED]
+    return [event.data["reason"] for event in told_of(database, campaign) if event.kind == EventKind.STALLED]
 
 
 @pytest.fixture

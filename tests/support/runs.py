@@ -8,6 +8,7 @@ from typing import Any
 from sqlalchemy import select
 from tests.support.computed import ComputedBackend
 from tests.support.server import RunningApi
+from tests.support.values import present
 
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.workbench import stored_bundles
@@ -20,10 +21,11 @@ from drivecal.domain.campaigns import Action, StageName
 from drivecal.domain.evaluations import Outcome
 from drivecal.execution.backend import Backend
 from drivecal.execution.pool import Leases, WorkPool
-from drivecal.storage import campaigns, generations, lots, results
+from drivecal.storage import campaigns, events, generations, lots, results, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
+from drivecal.storage.events import StoredEvent
 from drivecal.storage.lots import StoredLot
 from drivecal.storage.references import influence_maps
 from drivecal.storage.results import StoredEvaluation
@@ -123,8 +125,8 @@ def request(database: Database, campaign: StoredCampaign, action: Action) -> Non
 
 def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
     """All that a campaign found, without what may differ between machines and runs: ids, times, workers, attempts, starts."""
+    rows = rows_of(database, campaign)
     with database.read() as connection:
-        rows = list(results.stream(connection, campaign.sequence))
         figures, _ = generations.page(connection, campaign.sequence, limit=1_000)
     numbered = {row.id: (row.iteration, row.individual, row.scenario) for row in rows}
     cells = [
@@ -185,6 +187,18 @@ def rows_of(database: Database, campaign: StoredCampaign) -> list[StoredEvaluati
     """All cells of a campaign."""
     with database.read() as connection:
         return list(results.stream(connection, campaign.sequence))
+
+
+def told_of(database: Database, campaign: StoredCampaign) -> list[StoredEvent]:
+    """All events of a campaign."""
+    with database.read() as connection:
+        return events.since(connection, campaign.sequence, 0, 1_000)
+
+
+def study_of(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
+    """What a study of a campaign found, which there has to be."""
+    with database.read() as connection:
+        return present(studies.get(connection, campaign.sequence, stage))
 
 
 def lots_of(database: Database, campaign: StoredCampaign, kind: Outcome | None = None) -> list[StoredLot]:
