@@ -10,7 +10,6 @@ from tests.support.setups import bare as setup
 from drivecal.domain.errors import UnavailableError
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import Work
-from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
 def test_one_exchange_leases_all_that_is_sent_at_a_time() -> None:
@@ -18,18 +17,6 @@ def test_one_exchange_leases_all_that_is_sent_at_a_time() -> None:
     pool = WorkPool(FakeBackend(8), leases)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 10)), tag="a")
     assert [len(wanted) for _, wanted in leases.exchanges] == [8, 2]
-
-
-def test_a_poison_cell_gives_its_lease_back_with_every_breakdown() -> None:
-    leases = MemoryLeases()
-    backend = FakeBackend()
-    pool = WorkPool(backend, leases)
-    pool.submit(Work(setup(), cells([Behaviour.WELL] * 20 + [Behaviour.CRASH])), tag="a")
-    completed = {item.result.id: item for item in drain(pool)}
-    failed = completed[21]
-    assert (failed.result.breakdown, failed.attempts, failed.lease) == ("crash", ATTEMPTS, ATTEMPTS)
-    assert leases.breakdowns[21] == ATTEMPTS - 1
-    assert {entry.lease for entry in completed.values()} <= {1, 2, ATTEMPTS}
 
 
 def test_refused_cells_give_their_leases_back_without_a_breakdown() -> None:

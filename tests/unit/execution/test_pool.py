@@ -15,17 +15,17 @@ from drivecal.execution.scheduling.in_flight import Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.scheduler import ATTEMPTS
 
 
-def test_a_poison_cell_costs_three_attempts_and_none_of_its_neighbours() -> None:
+def test_a_poison_cell_costs_three_attempts_and_leases_and_none_of_its_neighbours() -> None:
     for poison, cause in ((Behaviour.CRASH, "crash"), (Behaviour.HANG, "hang"), (Behaviour.MEMORY, "memory")):
-        backend = FakeBackend()
-        pool = WorkPool(backend, MemoryLeases())
+        backend, leases = FakeBackend(), MemoryLeases()
+        pool = WorkPool(backend, leases)
         pool.submit(Work(setup(), cells([Behaviour.WELL] * 300)), tag="a")
         pool.submit(Work(setup("S2"), cells([Behaviour.WELL] * 20 + [poison] + [Behaviour.WELL] * 279, first=1001)), tag="a")
         completed = drain(pool)
         assert len(completed) == 600
         [failed] = [entry for entry in completed if entry.result.breakdown is not None]
         assert (failed.result.id, failed.result.breakdown, failed.attempts) == (1021, cause, ATTEMPTS)
-        assert backend.attempts[1021] == ATTEMPTS
+        assert (backend.attempts[1021], failed.lease, leases.breakdowns[1021]) == (ATTEMPTS, ATTEMPTS, ATTEMPTS - 1)
         assert max(count for cell, count in backend.attempts.items() if cell != 1021) <= ATTEMPTS
 
 
