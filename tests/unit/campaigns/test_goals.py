@@ -31,11 +31,6 @@ def test_no_goals_and_the_weighted_mean_are_the_default() -> None:
         assert problem.goals == weighted_mean(problem.bench.scale, problem.weights)
 
 
-def test_a_specification_with_goals_is_read_as_written() -> None:
-    given = CampaignSpecification.model_validate({"objectives": [JERK]})
-    assert CampaignSpecification.model_validate(given.model_dump(mode="json")) == given
-
-
 def test_goals_mean_scores_measures_and_shares_of_scenarios() -> None:
     problem = resolved(
         objectives=[
