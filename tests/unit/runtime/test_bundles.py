@@ -46,33 +46,17 @@ while True:
 
 
 @dataclass
-class ScriptedSession:
-    simulator: "ScriptedSimulator"
-    scenario: str
-
-    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
-        x = parameters["x"]
-        assert isinstance(x, float)
-        self.simulator.seeds.append(seed)
-        outcome = self.simulator.answers.get(x, RunOutcome({"a": x}, None, {"v": (1.0, 2.0)} if series else {}, SECONDS))
-        if isinstance(outcome, NoMeasuresError):
-            raise outcome
-        return outcome
-
-    def close(self) -> None:
-        self.simulator.closed.append(self.scenario)
-
-
-@dataclass
 class ScriptedSimulator:
-    """Answers with the measure `a` unless `answers` has another outcome for this value of x."""
+    """Answers with the measure `a` unless `answers` has another outcome for this value of x. `opens` and `evaluates` are asked before, and
+    may raise an error; `evaluates` may have an outcome as well."""
 
     answers: Mapping[float, RunOutcome | NoMeasuresError] = field(default_factory=dict)
+    opens: Callable[[str], object] = lambda _: None
+    evaluates: Callable[[Mapping[str, Argument]], RunOutcome | None] = lambda _: None
     opened: list[str] = field(default_factory=list)
     closed: list[str] = field(default_factory=list)
     seeds: list[int] = field(default_factory=list)
     version: str = "1"
-    session: type[ScriptedSession] = ScriptedSession
 
     def open(
         self, section: Mapping[str, Any], scenario: str, data: Mapping[str, Any], folder: Path, declared: Declared
@@ -82,8 +66,29 @@ class ScriptedSimulator:
         if data.get("missing"):
             raise UnavailableError("there is no such program")
         assert (folder / "problem.yaml").is_file()
+        self.opens(scenario)
         self.opened.append(scenario)
-        return self.session(self, scenario)
+        return ScriptedSession(self, scenario)
+
+
+@dataclass
+class ScriptedSession:
+    simulator: ScriptedSimulator
+    scenario: str
+
+    def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
+        x = parameters["x"]
+        assert isinstance(x, float)
+        self.simulator.seeds.append(seed)
+        if (given := self.simulator.evaluates(parameters)) is not None:
+            return given
+        outcome = self.simulator.answers.get(x, RunOutcome({"a": x}, None, {"v": (1.0, 2.0)} if series else {}, SECONDS))
+        if isinstance(outcome, NoMeasuresError):
+            raise outcome
+        return outcome
+
+    def close(self) -> None:
+        self.simulator.closed.append(self.scenario)
 
 
 def test_measures_come_back_with_the_childrens_cpu_time(worker: Callable[..., Worker], request_: SetupRequest) -> None:
@@ -173,14 +178,12 @@ def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
 
 
 def test_a_session_whose_folder_is_spoilt_is_opened_again(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    class Spoilt(ScriptedSession):
-        def evaluate(self, *arguments: Any, **options: Any) -> RunOutcome:
-            if len(self.simulator.opened) in faulty:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            return super().evaluate(*arguments, **options)
+    def evaluates(_: object) -> None:
+        if len(simulator.opened) in faulty:
+            raise OSError(errno.ENOSPC, "No space left on device")
 
     faulty = {1}
-    simulator = ScriptedSimulator(session=Spoilt)
+    simulator = ScriptedSimulator(evaluates=evaluates)
     works = worker(simulator)
     (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
     assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
@@ -212,13 +215,8 @@ def test_a_run_without_measures_costs_its_cell_only(worker: Callable[..., Worker
 @pytest.mark.parametrize("noise", [0.0, 1e-9])
 def test_a_checked_cell_runs_twice_to_find_noise(worker: Callable[..., Worker], request_: SetupRequest, noise: float) -> None:
     outcomes = iter([RunOutcome({"a": 2.0}, cpu_seconds=SECONDS), RunOutcome({"a": 2.0 + noise}, cpu_seconds=SECONDS)] * 2)
-
-    class Noisy(ScriptedSession):
-        def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
-            return next(outcomes)
-
     begun: list[int] = []
-    works = worker(ScriptedSimulator(session=Noisy), begins=begun.append)
+    works = worker(ScriptedSimulator(evaluates=lambda _: next(outcomes)), begins=begun.append)
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
     assert (result.metrics, result.repeats) == ({"a": 2.0}, noise == 0)
     assert result.run_milliseconds < result.milliseconds - 900 * SECONDS
@@ -227,13 +225,7 @@ def test_a_checked_cell_runs_twice_to_find_noise(worker: Callable[..., Worker], 
 
 def test_whole_numbers_are_sent_as_such(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     sent: list[Mapping[str, Argument]] = []
-
-    class Listening(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
-            sent.append(parameters)
-            return super().evaluate(parameters, series=series, seed=seed)
-
-    works = worker(ScriptedSimulator(session=Listening))
+    works = worker(ScriptedSimulator(evaluates=sent.append))
     works.run(Batch(replace(request_, parameters=("x", "n"), integers=("n",)), (Cell(1, {"x": 2.0, "n": 3.0}),)))
     assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
@@ -330,12 +322,11 @@ threading.Thread(target=multiply, daemon=True).start()
 
 
 def test_a_waiting_run_reports_its_wall_clock_time(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    class Sleeping(ScriptedSession):
-        def evaluate(self, *_: Any, **__: Any) -> RunOutcome:
-            time.sleep(0.5)
-            return RunOutcome({"a": 1.0}, start_seconds=1000.0 if is_start else 0.0)
+    def sleeps(_: object) -> RunOutcome:
+        time.sleep(0.5)
+        return RunOutcome({"a": 1.0}, start_seconds=1000.0 if is_start else 0.0)
 
-    works = worker(ScriptedSimulator(session=Sleeping))
+    works = worker(ScriptedSimulator(evaluates=sleeps))
     for is_start in (False, True):
         (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
         assert result.wall_milliseconds is not None

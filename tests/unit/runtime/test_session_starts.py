@@ -9,7 +9,6 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -19,27 +18,23 @@ from drivecal.adapters.environment import GRANTED
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.values import Argument
-from drivecal.plugins.simulators import MOST_SESSIONS, RunOutcome, SimulatorSession, UnsuitableError
+from drivecal.plugins.simulators import MOST_SESSIONS, UnsuitableError
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
 from drivecal.runtime.worker import Worker
 
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOMEM, "no memory")])
 def test_a_start_is_tried_without_sessions(worker: Callable[..., Worker], request_: SetupRequest, fault: Exception) -> None:
-    class Licensed(ScriptedSimulator):
-        most = 2
+    def opens(_: str) -> None:
+        if len(simulator.opened) - len(simulator.closed) >= most:
+            raise fault
 
-        def open(self, *arguments: Any) -> SimulatorSession:
-            if len(self.opened) - len(self.closed) >= self.most:
-                raise fault
-            return super().open(*arguments)
-
-    simulator = Licensed()
+    most, simulator = 2, ScriptedSimulator(opens=opens)
     works = worker(simulator)
     for number in range(3):
         assert works.run(Batch(replace(request_, scenario=f"s{number}"), (Cell(1, {"x": 2.0}),))).refusal is None
     assert (simulator.opened, simulator.closed) == (["s0", "s1", "s2"], ["s0", "s1"])
-    simulator.most = 0
+    most = 0
     for _ in range(2):
         assert works.run(Batch(replace(request_, scenario="s3"), (Cell(1, {"x": 2.0}),))).refusal
 
@@ -75,13 +70,11 @@ def test_sessions_are_closed_once_for_a_failing_start(sessions: Callable[..., Bu
 
 @pytest.mark.parametrize("kind", [UnavailableError, UnsuitableError])
 def test_a_lost_simulator_refuses(worker: Callable[..., Worker], request_: SetupRequest, kind: type[UnavailableError]) -> None:
-    class Upgraded(ScriptedSession):
-        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
-            if parameters["x"] == 3.0 and len(self.simulator.opened) == 1:
-                raise kind("SUMO has another version")
-            return super().evaluate(parameters, series=series, seed=seed)
+    def evaluates(parameters: Mapping[str, Argument]) -> None:
+        if parameters["x"] == 3.0 and len(simulator.opened) == 1:
+            raise kind("SUMO has another version")
 
-    simulator = ScriptedSimulator(session=Upgraded)
+    simulator = ScriptedSimulator(evaluates=evaluates)
     works = worker(simulator)
     refused = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))))
     assert [(answer.id, answer.metrics) for answer in refused.results] == [(1, {"a": 1.0}), (2, {"a": 2.0})]
@@ -93,16 +86,12 @@ def test_a_lost_simulator_refuses(worker: Callable[..., Worker], request_: Setup
 
 @pytest.mark.parametrize("fault", [UnavailableError("no licence"), OSError(errno.ENOSPC, "no disk")])
 def test_a_refused_check_keeps_the_outcome(worker: Callable[..., Worker], request_: SetupRequest, fault: Exception) -> None:
-    class Once(ScriptedSession):
-        runs = 0
+    def evaluates(_: object) -> None:
+        if len(simulator.opened) in used:
+            raise fault
+        used.add(len(simulator.opened))
 
-        def evaluate(self, parameters: Mapping[str, Argument], *, series: bool = False, seed: int = 1) -> RunOutcome:
-            self.runs += 1
-            if self.runs > 1:
-                raise fault
-            return super().evaluate(parameters, series=series, seed=seed)
-
-    simulator = ScriptedSimulator(session=Once)
+    used, simulator = set[int](), ScriptedSimulator(evaluates=evaluates)
     works = worker(simulator)
     answered = works.run(Batch(request_, tuple(Cell(number, {"x": float(number)}, check=True) for number in range(1, 4))))
     assert [(answer.metrics, answer.repeats) for answer in answered.results] == [({"a": float(x)}, None) for x in range(1, 4)]
@@ -111,13 +100,11 @@ def test_a_refused_check_keeps_the_outcome(worker: Callable[..., Worker], reques
 
 
 def test_an_impossible_scenario_closes_no_other_session(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    class Unsuitable(ScriptedSimulator):
-        def open(self, section: Mapping[str, Any], scenario: str, *rest: Any) -> SimulatorSession:
-            if scenario == "broken":
-                raise UnsuitableError("the network has no lane e9_0")
-            return super().open(section, scenario, *rest)
+    def opens(scenario: str) -> None:
+        if scenario == "broken":
+            raise UnsuitableError("the network has no lane e9_0")
 
-    simulator = Unsuitable()
+    simulator = ScriptedSimulator(opens=opens)
     works = worker(simulator)
     assert works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).refusal is None
     refused = works.run(Batch(replace(request_, scenario="broken"), (Cell(2, {"x": 2.0}),)))
