@@ -3,14 +3,13 @@
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
-from sqlalchemy import Connection, text
+from sqlalchemy import text
 from tests.support.runs import get, submit
 from tests.support.serve import until
 
@@ -110,30 +109,18 @@ def test_a_main_thread_that_waits_for_a_computing_thread_does_not_hang(database:
     assert hung == [False, False, True, True, True], "a thread that always computes hides nothing for ever"
 
 
-class _Unreachable:
-    """A database that does not answer while `away`."""
-
-    def __init__(self, database: Database) -> None:
-        self._database = database
-        self.away = False
-
-    @contextmanager
-    def transaction(self) -> Iterator[Connection]:
-        if self.away:
-            raise UnavailableError("the database does not answer")
-        with self._database.transaction() as connection:
-            yield connection
-
-
-def test_it_outlives_an_outage_of_the_database(database: Database, caplog: pytest.LogCaptureFixture) -> None:
+def test_it_outlives_an_outage_of_the_database(
+    database: Database, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     caplog.set_level("INFO")
     leadership = Leadership.begin(database)
-    unreachable = _Unreachable(database.fenced(leadership.fence))
-    unreachable.away = True
-    with Heartbeat(unreachable, leadership) as heartbeat:  # type: ignore[arg-type]  # it needs transactions only
+    fenced = database.fenced(leadership.fence)
+    transaction = fenced.transaction
+    monkeypatch.setattr(fenced, "transaction", Mock(side_effect=UnavailableError("the database does not answer")))
+    with Heartbeat(fenced, leadership) as heartbeat:
         until(lambda: "waiting for the database" in caplog.text, "the message about the outage", 30)
         heartbeat.report([WORKER], None)
-        unreachable.away = False
+        monkeypatch.setattr(fenced, "transaction", transaction)
         until(lambda: bool(reported(database).detail.get("workers")), "a heartbeat after the outage", 30)
     assert caplog.text.count("waiting for the database") == 1
     assert "the database answers again" in caplog.text

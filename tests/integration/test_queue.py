@@ -3,7 +3,7 @@
 import random
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import mkdtemp
 from types import SimpleNamespace
@@ -137,23 +137,19 @@ def test_a_dispatcher_that_comes_back_after_another_was_elected_writes_nothing(d
     assert finish(database, campaign, awake).state is CampaignState.SUCCEEDED
 
 
+@dataclass
 class Poisoned:
-    """One cell that no worker survives; counts how often it was tried."""
+    """Cells that no worker survives; counts how often the first of them was tried."""
 
-    def __init__(self) -> None:
-        self.tried = 0
+    first: int | None = None
+    tried: int = 0
 
     def __call__(self, scenario: str, cell: Cell) -> CellResult:
         if scenario == "S2" and cell.parameters["P1"] == 1.0:
-            self.tried += cell.id == self.first(cell.id)
+            self.first = cell.id if self.first is None else self.first
+            self.tried += cell.id == self.first
             return CellResult(cell.id, None, None, {}, None, 1.0, "crash", "segmentation fault\0\ud800")
         return computed(scenario, cell)
-
-    _first: int | None = None
-
-    def first(self, cell: int) -> int:
-        self._first = cell if self._first is None else self._first
-        return self._first
 
 
 @pytest.mark.slow("postgresql")
@@ -169,7 +165,7 @@ def test_a_poison_cell_has_three_attempts_however_many_dispatchers_it_sees(datab
     assert ended.state is CampaignState.SUCCEEDED
     assert poison.tried == ATTEMPTS
     with database.read() as connection:
-        [row] = connection.execute(select(evaluations_table).where(evaluations_table.c.id == poison.first(0)))
+        [row] = connection.execute(select(evaluations_table).where(evaluations_table.c.id == poison.first))
     assert (row.outcome, row.failure, row.attempts, row.score) == (Outcome.FAILED, "crash", ATTEMPTS, None)
     assert row.detail == "segmentation fault\ufffd?"
 

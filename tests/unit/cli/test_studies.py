@@ -1,6 +1,7 @@
 """Known studies: which campaign's results a command takes."""
 
-from typing import Any, cast
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 
@@ -18,35 +19,24 @@ def study() -> Study:
     )
 
 
-class Server:
-    """Knows one campaign and its study."""
-
-    def __init__(self, campaign: Campaign) -> None:
-        self._campaign = campaign
-
-    def studies(self, identifier: str) -> StudyPage:
-        own: dict[str, Any] = {"campaign": identifier, "state": self._campaign.state}
-        return StudyPage(items=[study().model_copy(update=own)])
+def client(*listed: Study, campaign: Campaign | None = None) -> Client:
+    """One that lists these studies of any campaign, and knows one campaign."""
+    return cast("Client", SimpleNamespace(studies=lambda _: StudyPage(items=list(listed)), campaign=lambda _: campaign))
 
 
 def test_a_study_that_is_being_made_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
     campaign = Campaign(id="0" * 32, name="searched", state="succeeded")
     maker = Campaign(id="1" * 32, name="study", state="running", spec={"robustness": {"delta": 0.1}})
 
-    class Busy(Server):
-        def studies(self, _: str) -> StudyPage:
-            return StudyPage(items=[study().model_copy(update={"campaign": maker.id, "state": "running"})])
-
-        def campaign(self, _: str) -> Campaign:
-            return maker
-
+    made = study().model_copy(update={"campaign": maker.id, "state": "running"})
     ended = maker.model_copy(update={"state": "succeeded"})
     monkeypatch.setattr(studies, "follow", lambda _, identifier: ended if identifier == maker.id else None)
-    assert known(cast("Client", Busy(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1})) is ended
+    assert known(client(made, campaign=maker), campaign, wanted_of(campaign, "robustness", {"delta": 0.1})) is ended
 
 
 @pytest.mark.parametrize(("state", "done"), [("succeeded", True), ("cancelled", False), ("failed", False), ("running", False)])
 def test_only_a_study_that_succeeded_is_known(state: str, done: bool) -> None:
     campaign = Campaign(id="0" * 32, name="study", state=state, spec={"robustness": {"delta": 0.1}})
-    maker = known(cast("Client", Server(campaign)), campaign, wanted_of(campaign, "robustness", {"delta": 0.1}))
+    listed = study().model_copy(update={"campaign": campaign.id, "state": state})
+    maker = known(client(listed), campaign, wanted_of(campaign, "robustness", {"delta": 0.1}))
     assert (maker is campaign) == done

@@ -2,7 +2,7 @@
 
 from decimal import Decimal
 from fractions import Fraction
-from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from drivecal.domain.parameters import Indices, Parameter, ParameterSpace
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
 from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.repair import RepairingOptimizer
-from drivecal.plugins.ports import Floats, OptimizerPlugin, Proposal
+from drivecal.plugins.ports import OptimizerPlugin, Proposal
 
 sizes = st.integers(2, 5000)
 grids = st.lists(sizes, min_size=1, max_size=12).map(lambda found: np.array(found, dtype=np.int64))
@@ -77,25 +77,10 @@ SPACE = ParameterSpace(tuple(Parameter.from_step(name, Decimal(0), Decimal(2), D
 CONSTRAINTS = Constraints(SPACE, {MONOTONE: Constraint(MONOTONE, dict.fromkeys(CURVE, ()))})
 
 
-class Proposing:
-    """Proposes one population."""
-
-    def __init__(self, population: Indices) -> None:
-        self._proposal = Proposal(population, np.ones(len(population), dtype=np.bool_))
-
-    def ask(self) -> Proposal:
-        return self._proposal
-
-    def tell(self, objectives: Floats, tie_breakers: Floats) -> None: ...
-
-    def state(self) -> dict[str, Any]:
-        return {}
-
-
 def test_replaced_proposals_and_new_sets_are_counted() -> None:
     proposed = np.array([[1, 1], [2, 2], [3, 3], [3, 3], [4, 4], [5, 5]])
     repaired = np.array([[1, 1], [1, 1], [7, 7], [7, 7], [8, 8], [9, 9]])
-    optimizer = RepairingOptimizer(Proposing(proposed), lambda _: repaired)
+    optimizer = RepairingOptimizer(Mock(ask=lambda: Proposal(proposed, np.ones(6, dtype=np.bool_))), lambda _: repaired)
     optimizer.known.add((8, 8))
     assert optimizer.ask().population.tolist() == repaired.tolist()
     first = optimizer.repaired

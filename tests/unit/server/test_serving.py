@@ -1,10 +1,10 @@
 """When a server that was just started is ready."""
 
 import socket
-from collections.abc import Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from tests.support.databases import migrated
@@ -13,7 +13,6 @@ from tests.support.scripted import server
 from drivecal.configuration.settings import load_settings
 from drivecal.server import serving
 from drivecal.server.serving import Startup
-from drivecal.server.supervisor import ChildProcess
 from drivecal.storage import processes
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
@@ -51,21 +50,15 @@ def test_a_dispatcher_is_known_by_its_term(tmp_path: Path, monkeypatch: pytest.M
 def test_the_dispatcher_alone_is_told_where_to_post(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     webhook = "https://chat.example/hook?secret=hunter2"
     told: dict[str, str | None] = {}
-
-    class Supervisor:
-        def __init__(self, children: Sequence[ChildProcess], *_: object) -> None:
-            for child in children:
-                with pytest.MonkeyPatch.context() as patched:
-                    for name, value in child.environment.items():
-                        patched.setenv(name, value)
-                    told[child.name] = load_settings().webhook
-
-        def run(self) -> int:
-            return 0
-
-    monkeypatch.setattr(serving, "Supervisor", Supervisor)
+    supervisor = Mock(return_value=Mock(run=lambda: 0))
+    monkeypatch.setattr(serving, "Supervisor", supervisor)
     monkeypatch.setenv("DRIVECAL_WEBHOOK", webhook)
     migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
     with socket.socket() as listener:
         serving.run_server(load_settings(home=str(tmp_path)), listener, "http://127.0.0.1:1", lambda: None)
+    for child in supervisor.call_args.args[0]:
+        with pytest.MonkeyPatch.context() as patched:
+            for name, value in child.environment.items():
+                patched.setenv(name, value)
+            told[child.name] = load_settings().webhook
     assert told == {"API": None, "dispatcher": webhook}
