@@ -1,10 +1,11 @@
 """Cells that break the worker that simulates them."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from sqlalchemy import select
@@ -16,7 +17,7 @@ from tests.support.pooled import MemoryLeases, drain
 from tests.support.setups import FOLDER, misbehaving_setup
 from tests.support.values import present
 
-from drivecal.contracts.work import Batch, Cell
+from drivecal.contracts.work import Cell
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.ray.backend import RayBackend
@@ -46,14 +47,8 @@ def healed(ray_backend: RayBackend) -> Iterator[RayBackend]:
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_poison_in_a_batch_of_sixteen_costs_its_own_cells(healed: RayBackend, monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[list[int]] = []
-    submit_batch: Callable[..., None] = healed.submit
-
-    def noting(worker: str, batch_id: int, batch: Batch, *arguments: Any, **options: Any) -> None:
-        sent.append([int(cell.parameters["dose"]) for cell in batch.cells])
-        submit_batch(worker, batch_id, batch, *arguments, **options)
-
-    monkeypatch.setattr(healed, "submit", noting)
+    noted = Mock(side_effect=healed.submit)
+    monkeypatch.setattr(healed, "submit", noted)
     monkeypatch.setattr("drivecal.execution.scheduling.scheduler.MOST_LOSSES", LOSSES)
     for name in ("TARGET_SECONDS", "SHORTEST_SECONDS"):  # all at once
         monkeypatch.setattr(f"drivecal.execution.scheduling.batching.{name}", 600.0)
@@ -66,6 +61,7 @@ def test_poison_in_a_batch_of_sixteen_costs_its_own_cells(healed: RayBackend, mo
     monkeypatch.setattr(healed, "_limits", replace(healed._limits, deadline_seconds=deadline))
     pool.submit(Work(setup, [Cell(100 + dose, {"dose": float(dose)}) for dose in range(POISON.DOSES)]), tag="test")
     completed = {item.result.id - 100: item for item in drain(pool)}
+    sent = [[int(cell.parameters["dose"]) for cell in call.args[2].cells] for call in noted.call_args_list]
     assert max(len(batch) for batch in sent) == len(completed) == POISON.DOSES
     assert {dose: one.result.breakdown for dose, one in completed.items() if one.result.breakdown} == CAUSES
     times = {dose: sum(dose in batch for batch in sent) for dose in range(1, POISON.DOSES)}

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -112,18 +112,14 @@ def test_a_server_with_a_silent_database_hears_signals(postgres: KillablePostgre
     """A question that waits for the database keeps the supervisor from its signals."""
     asked: list[Sequence[str]] = []
 
-    class Asking:
-        def __init__(self, _children: Any, missing: Callable[[], Sequence[str]], _announce: Any) -> None:
-            self._missing = missing
+    def run(missing: Callable[[], Sequence[str]]) -> int:
+        with postgres.frozen():
+            thread = threading.Thread(target=lambda: asked.append(missing()))
+            thread.start()
+            thread.join(10 * PROMISED_SECONDS)
+            return len(asked)
 
-        def run(self) -> int:
-            with postgres.frozen():
-                thread = threading.Thread(target=lambda: asked.append(self._missing()))
-                thread.start()
-                thread.join(10 * PROMISED_SECONDS)
-                return len(asked)
-
-    monkeypatch.setattr(serving_module, "Supervisor", Asking)
+    monkeypatch.setattr(serving_module, "Supervisor", lambda _, missing, __: SimpleNamespace(run=lambda: run(missing)))
     settings = Settings(database_url=postgres.new_database())
     serving_module.prepare_database(settings).dispose()
     with serving_module.listen("127.0.0.1", 0) as listener:

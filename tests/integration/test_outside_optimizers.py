@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
+from unittest.mock import create_autospec
 
 import httpx
 import numpy as np
 import pytest
-from sqlalchemy import Connection
 from tests.support.computed import ComputedBackend
 from tests.support.deaths import ends_in_spite_of_deaths
 from tests.support.effort import tries
@@ -266,22 +265,17 @@ def test_a_request_may_wait_for_an_answer(sqlite: RunningApi) -> None:
 
 def test_a_set_costs_five_transactions(sqlite: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivecal.dispatch.dispatcher.TIDY_SECONDS", math.inf)
-    campaign, work, written = submitted(sqlite), dispatcher(sqlite.database, ComputedBackend(1)), list[Database]()
+    campaign, work = submitted(sqlite), dispatcher(sqlite.database, ComputedBackend(1))
     propose(sqlite, campaign, sets(0, 1))
     while len(answers(sqlite, campaign)["items"]) < 2:
         work.step()
-    whole = Database.transaction
-
-    def counted(database: Database) -> AbstractContextManager[Connection]:
-        written.append(database)
-        return whole(database)
-
-    monkeypatch.setattr(Database, "transaction", counted)
+    written = create_autospec(Database.transaction, side_effect=Database.transaction)
+    monkeypatch.setattr(Database, "transaction", written)
     propose(sqlite, campaign, sets(1, 1, scenarios=["S1"]))
-    assert len(written) == 1
+    assert written.call_count == 1
     while len(answers(sqlite, campaign)["items"]) < 3:
         work.step()
-    assert len(written) == 5  # the cells of a round, their lease, their results, the end of the round
+    assert written.call_count == 5  # the cells of a round, their lease, their results, the end of the round
 
 
 @pytest.mark.slow

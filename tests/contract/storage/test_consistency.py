@@ -1,8 +1,8 @@
 """`drivecal db check` finds no fault at any moment of a campaign, and names each planted fault."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -32,24 +32,13 @@ class UndoneError(Exception):
     """Ends a transaction that is to leave nothing behind."""
 
 
-class Uncommitted:
-    """A database as one of its transactions sees it."""
-
-    def __init__(self, connection: Connection) -> None:
-        self._connection = connection
-
-    @contextmanager
-    def read(self) -> Iterator[Connection]:
-        yield self._connection
-
-
 def problems_after(database: Database, statement: str) -> list[str]:
-    """Returns the faults that the database would have after a commit of the statement."""
+    """Returns the faults that the database would have after a commit of the statement: what its transaction sees."""
     result: list[str] = []
     with suppress(UndoneError), database.transaction() as connection:
         _without_foreign_keys(connection)
         connection.execute(text(statement.replace(":", r"\:")))
-        seen: Any = Uncommitted(connection)
+        seen: Any = SimpleNamespace(read=lambda: nullcontext(connection))
         result = problems(seen)
         raise UndoneError
     return result

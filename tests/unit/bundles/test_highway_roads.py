@@ -5,6 +5,7 @@ import re
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import yaml
@@ -21,8 +22,8 @@ from drivecal.bundles.installed import installed_problems
 from drivecal.bundles.traffic import description
 from drivecal.configuration.problems import read_archived, read_bundle, read_bundle_with_notes
 from drivecal.domain.errors import InvalidInputError, UnavailableError
-from drivecal.roads.corridor import Corridor, corridor
-from drivecal.roads.network import Network, read_network
+from drivecal.roads.corridor import corridor
+from drivecal.roads.network import read_network
 
 CODE = "def control(observation, parameters):\n    return {'acceleration': 0.0}\n"
 MANIFEST: dict[str, Any] = {
@@ -108,15 +109,10 @@ def test_a_route_of_many_scenarios_is_checked_once(monkeypatch: pytest.MonkeyPat
     scenario = document["scenarios"]["merge"]
     others = changed("route", ["ramp", "beside", "after"])["scenarios"]["merge"] | {"traffic": []}
     document["scenarios"] = {f"s{number}": others if number % 2 else scenario for number in range(6)}
-    routes: list[list[str]] = []
-
-    def counted(network: Network, route: list[str], name: str, default_limit: float | None, *, crossings: bool) -> Corridor:
-        routes.append(route)
-        return corridor(network, route, name, default_limit, crossings=crossings)
-
+    counted = Mock(side_effect=corridor)
     monkeypatch.setattr(highway_roads, "corridor", counted)
     check_roads(checked(document), networks())
-    assert len(routes) == 2
+    assert counted.call_count == 2
 
 
 def test_gaps_over_which_vehicles_jump_are_noted() -> None:
@@ -133,16 +129,11 @@ def test_a_folder_is_converted_and_measured_once(tmp_path: Path, monkeypatch: py
     (tmp_path / "problem.yaml").write_text(yaml.safe_dump(document))
     for name in ("road.net.xml", "acc.py"):
         (tmp_path / name).write_bytes(networks()[name].content)
-    read: list[str] = []
-
-    def counted(content: bytes, name: str) -> Network:
-        read.append(name)
-        return read_network(content, name)
-
+    counted = Mock(side_effect=read_network)
     monkeypatch.setattr(description, "read_network", counted)
     _, _, notes = read_bundle_with_notes(tmp_path)
     assert len(notes) == 1
-    assert read == ["road.net.xml"]
+    assert [call.args[1] for call in counted.call_args_list] == ["road.net.xml"]
 
 
 OPEN_ROUTE = ["-1#0", "-1#1", "-1#2", "-3"]

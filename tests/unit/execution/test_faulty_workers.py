@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from tests.support.fake_backend import Behaviour, FakeBackend
 from tests.support.pooled import MemoryLeases, cells, drain
 from tests.support.setups import bare as setup
 
-from drivecal.contracts.work import Batch, Cell
+from drivecal.contracts.work import Cell
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import WITNESSES, Work
@@ -18,13 +19,7 @@ from drivecal.execution.scheduling.worker_health import BATCHES_WITHOUT_RESULT
 
 def test_an_exception_is_tried_on_another_worker(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
     backend = FakeBackend()
-    sent: list[tuple[str, list[int]]] = []
-    submit = backend.submit
-
-    def noted(worker: str, batch_id: int, batch: Batch, expected: float | None, *, alone: bool = False) -> None:
-        sent.append((worker, [cell.id for cell in batch.cells]))
-        submit(worker, batch_id, batch, expected, alone=alone)
-
+    noted = Mock(side_effect=backend.submit)
     monkeypatch.setattr(backend, "submit", noted)
     pool = WorkPool(backend, MemoryLeases())
     behaviours = [Behaviour.WELL] * 300
@@ -33,6 +28,9 @@ def test_an_exception_is_tried_on_another_worker(caplog: pytest.LogCaptureFixtur
     [failed] = [entry for entry in drain(pool) if entry.result.breakdown is not None]
     assert (failed.result.id, failed.result.breakdown, failed.attempts) == (150, "error", WITNESSES)
     assert failed.result.detail == "ValueError: as asked for"
+    sent = [
+        (worker, [cell.id for cell in batch.cells]) for worker, _, batch, *_ in (call.args for call in noted.call_args_list)
+    ]
     (first, _), (second, alone) = [(worker, ids) for worker, ids in sent if 150 in ids]
     assert first != second
     assert alone == [150]
