@@ -3,6 +3,7 @@
 import uuid
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
+from unittest.mock import Mock
 
 import httpx
 import pytest
@@ -42,13 +43,10 @@ REQUESTS: list[tuple[str, dict[str, Any]]] = [
 
 @pytest.mark.parametrize(("path", "body"), REQUESTS)
 def test_a_retry_is_known_by_its_key(api: RunningApi, monkeypatch: pytest.MonkeyPatch, path: str, body: dict[str, Any]) -> None:
-    def refuse(*_: object) -> None:
-        raise InvalidInputError(Problem("evaluator", "unknown"))
-
     headers = {"Idempotency-Key": uuid.uuid4().hex}
     first = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
     for module, name in ((submission, "checked"), (submission, "resolve_evaluation"), (submission, "checked_comparison")):
-        monkeypatch.setattr(module, name, refuse)
+        monkeypatch.setattr(module, name, Mock(side_effect=InvalidInputError(Problem("evaluator", "unknown"))))
     again = api.http.post(f"/api/v1/{path}", json=body, headers=headers)
     assert (first.status_code, again.status_code, again.json()) == (202, 202, first.json())
     assert api.http.post(f"/api/v1/{path}", json=body).status_code == 422

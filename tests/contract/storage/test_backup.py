@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from sqlalchemy import text
@@ -169,11 +170,8 @@ def test_an_existing_file_is_never_replaced(database: Database, tmp_path: Path, 
 
 @pytest.mark.slow("postgresql")
 def test_a_backup_that_fails_leaves_nothing_behind(used: Database, tmp_path: Path) -> None:
-    def fail(*_: object) -> None:
-        raise UnavailableError("the disk is gone")
-
     with pytest.raises(UnavailableError, match="the disk is gone"):
-        backup.write(used, tmp_path / "backup.db", fail)
+        backup.write(used, tmp_path / "backup.db", Mock(side_effect=UnavailableError("the disk is gone")))
     assert not list(tmp_path.glob("*backup*"))
 
 

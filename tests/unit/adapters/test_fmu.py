@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import fmpy
 import pytest
@@ -161,10 +162,7 @@ def test_an_unusable_fmu_cannot_be_opened(folder: Path, tmp_path: Path, section:
 def test_an_fmu_that_a_machine_cannot_read_is_not_blamed(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: Exception, kind: type[Exception]
 ) -> None:
-    def unreadable(*_: Any, **__: Any) -> None:
-        raise fault
-
-    monkeypatch.setattr(fmpy, "read_model_description", unreadable)
+    monkeypatch.setattr(fmpy, "read_model_description", Mock(side_effect=fault))
     with pytest.raises(kind) as error:
         Fmu(folder / "trial2.fmu", tmp_path / "unpacked")
     assert blames_files(error.value) is (kind is UnusableError)

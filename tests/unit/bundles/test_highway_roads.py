@@ -185,11 +185,7 @@ def test_a_network_of_the_same_file_is_kept_without_netconvert(tmp_path: Path, m
     path = folder(tmp_path, exit_ramp())
     _, archive = read_bundle(path)
     (path / "maps" / "road.xodr.net.xml").write_bytes(files_of(archive)["maps/road.xodr.net.xml"].content)
-
-    def missing(*_: Any) -> None:
-        raise UnavailableError("netconvert is missing")
-
-    monkeypatch.setattr(highway_roads, "converted", missing)
+    monkeypatch.setattr(highway_roads, "converted", Mock(side_effect=UnavailableError("netconvert is missing")))
     assert content_digest(read_bundle(path)[1]) == content_digest(archive)
     (path / "maps" / "road.xodr.net.xml").unlink()
     with pytest.raises(UnavailableError):

@@ -2,7 +2,8 @@
 
 import sys
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -71,11 +72,8 @@ def test_a_folder_has_the_files_behind_its_links(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_listed_has_no_digest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(folder: str) -> NoReturn:
-        raise PermissionError(folder)
-
     (tmp_path / "maps").mkdir()
-    monkeypatch.setattr("os.scandir", refuse)
+    monkeypatch.setattr("os.scandir", Mock(side_effect=PermissionError))
     with pytest.raises(PermissionError):
         digest_of_path(tmp_path / "maps")
 

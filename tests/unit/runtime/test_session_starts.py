@@ -115,10 +115,7 @@ def test_an_impossible_scenario_closes_no_other_session(worker: Callable[..., Wo
 def test_a_session_that_cannot_be_closed_costs_no_run_of_others(
     worker: Callable[..., Worker], request_: SetupRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def close(_: ScriptedSession) -> None:
-        raise RecursionError
-
-    monkeypatch.setattr(ScriptedSession, "close", close)
+    monkeypatch.setattr(ScriptedSession, "close", Mock(side_effect=RecursionError))
     simulator = ScriptedSimulator()
     works = worker(simulator)
     for number in range(MOST_SESSIONS + 2):

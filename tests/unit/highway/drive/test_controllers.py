@@ -6,6 +6,7 @@ from math import inf, nan
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -69,19 +70,13 @@ def test_anything_else_is_refused(answer: object) -> None:
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, KeyError, SystemExit, RecursionError])
 def test_an_exception_names_the_time(error: type[BaseException]) -> None:
-    def control(*_: object) -> float:
-        raise error
-
     with pytest.raises(ControllerError, match=f"at 0 s: {error.__name__}"):
-        answered(control)
+        answered(Mock(side_effect=error))
 
 
 def test_running_out_of_memory_is_no_fault_of_the_controller() -> None:
-    def control(*_: object) -> float:
-        raise MemoryError
-
     with pytest.raises(MemoryError):
-        answered(control)
+        answered(Mock(side_effect=MemoryError))
 
 
 def test_a_class_is_made_for_each_run() -> None:

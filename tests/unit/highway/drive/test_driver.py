@@ -1,6 +1,7 @@
 """Answers of the child with time series: a replay that cannot be sent leaves the rest."""
 
 import json
+from unittest.mock import Mock
 
 import pytest
 from tests.support.problems import REPLAY
@@ -24,17 +25,11 @@ def test_a_replay_is_sent_as_far_as_the_line_has_room(monkeypatch: pytest.Monkey
 
 @pytest.mark.parametrize("error", [ValueError, IndexError, ZeroDivisionError])
 def test_a_replay_that_cannot_be_made_is_left_out(error: type[Exception], capfd: pytest.CaptureFixture[str]) -> None:
-    def make() -> ReplayAnswer:
-        raise error("a lane without points")
-
-    assert replay_beside(ANSWER, make) == {"replay": None}
+    assert replay_beside(ANSWER, Mock(side_effect=error("a lane without points"))) == {"replay": None}
     assert "a lane without points" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("error", [TypeError, MemoryError])
 def test_faults_of_the_program_and_of_the_process_are_no_replay_s(error: type[Exception]) -> None:
-    def make() -> ReplayAnswer:
-        raise error
-
     with pytest.raises(error):
-        replay_beside(ANSWER, make)
+        replay_beside(ANSWER, Mock(side_effect=error))
