@@ -27,14 +27,11 @@ NOT_DECLARED = {"fmpy": "BSD-2-Clause, in its file LICENSE.txt"}
 """Packages whose metadata name no licence."""
 
 
-def plain(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
 def shipped() -> set[str]:
     """Names of all packages in the images."""
     texts = [(ROOT / "deploy" / "images" / f"{role}.lock").read_text(encoding="utf-8") for role in ROLES]
-    return {plain(name) for text in texts for name in re.findall(r"^([A-Za-z0-9_.-]+)==", text, re.MULTILINE)}
+    names = {name for text in texts for name in re.findall(r"^([A-Za-z0-9_.-]+)==", text, re.MULTILINE)}
+    return {re.sub(r"[-_.]+", "-", name).lower() for name in names}
 
 
 def licence(name: str) -> str:

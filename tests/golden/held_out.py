@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from drivecal.highway.training import vehicle
 from drivecal.highway.training.multibody import Recording
@@ -44,16 +43,14 @@ def read() -> tuple[list[str], Drives]:
     """The manoeuvres' kinds and drives."""
     with np.load(FILE) as file:
         kinds = [str(kind) for kind in file["kinds"]]
-        seen: dict[str, Floats] = {name: UNITS[name] * _sums(file[name]) for name in UNITS}
+        seen: dict[str, Floats] = {
+            name: UNITS[name] * file[name].astype(np.int64).cumsum(axis=1).cumsum(axis=1) for name in UNITS
+        }
     given = np.stack([seen["steering_angle"], seen["speed"]], axis=2)
     starts = np.column_stack([seen[name][:, 0] for name in ("heading", "side_slip", "yaw_rate")])
     aside = seen["y"] - seen["y"][:, :1]
     truth = np.stack([seen["yaw_rate"], seen["lateral_acceleration"], aside], axis=2)[:, 1:]
     return kinds, Drives(given, starts, truth)
-
-
-def _sums(differences: npt.NDArray[np.int32]) -> Floats:
-    return np.asarray(differences.astype(np.int64).cumsum(axis=1).cumsum(axis=1), dtype=np.float64)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from typing import Any
 
 import pytest
 
-from drivecal.bundles.highway import Scenario
 from drivecal.domain.evaluations import Rating
 from drivecal.highway.comfort.reference import REFERENCE
 from drivecal.highway.drive.tasks import TaskRunner
@@ -24,7 +23,7 @@ from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
 from drivecal.plugins.setups import sumo
-from drivecal.plugins.simulators import VERSIONS, RunOutcome
+from drivecal.plugins.simulators import VERSIONS
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {
@@ -43,11 +42,6 @@ def versions() -> dict[str, str]:
     return plugins | {"sumo": sumo(), "closed loop": VERSIONS["highway"]} | digests
 
 
-def rated(scenario: Scenario, run: RunOutcome) -> Rating:
-    """The reference scale's rating."""
-    return Rating(0.0, 0) if run.failure else REFERENCE.rate(scenario.rated_as, run.measures)
-
-
 def results() -> dict[str, dict[str, Any]]:
     """Score, failure, and floats in hexadecimal, by cell."""
     outcome: dict[str, dict[str, Any]] = {}
@@ -56,7 +50,7 @@ def results() -> dict[str, dict[str, Any]]:
         runner = TaskRunner(scenario, FRENET, vehicle)
         for label, parameters in SETS.items():
             result = runner.run(parameters)
-            rating = rated(scenario, result)
+            rating = Rating(0.0, 0) if result.failure else REFERENCE.rate(scenario.rated_as, result.measures)
             floats = {"rating": rating.rating} | {metric: result.measures[metric] for metric in METRICS}
             outcome[f"{name} {label}"] = {
                 "score": rating.score,

@@ -20,7 +20,7 @@ from tests.support.values import MIDDLE
 from typer.testing import CliRunner
 
 from drivecal.cli.main import app
-from drivecal.contracts.work import Cell, CellResult
+from drivecal.contracts.work import CellResult
 from drivecal.storage.engine import server_lock
 
 SETS = [f"{name}={value}" for name, value in MIDDLE.items()]
@@ -142,12 +142,9 @@ def test_an_export_that_cannot_be_written_leaves_nothing_behind(run: Run, submit
     assert {path.name for path in tmp_path.iterdir()} == {"campaign.yaml"}
 
 
-def rated(_: str, cell: Cell) -> CellResult:
-    return CellResult(cell.id, 0.0, 0, METRICS, None, 7.0)
-
-
 def test_an_evaluation_is_waited_for_and_shown(run: Run, tmp_path: Path) -> None:
-    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api, working(api.database, ComputedBackend(answer=rated)):
+    backend = ComputedBackend(answer=lambda _, cell: CellResult(cell.id, 0.0, 0, METRICS, None, 7.0))
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}") as api, working(api.database, backend):
         result = run("evaluate", *SETS, "--scenario", "S2", "--url", api.url)
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("P1=0 P2=1 P3=100")

@@ -133,10 +133,6 @@ def test_a_new_dispatcher_takes_no_licence_as_free_however_long_the_last_one_was
     assert Leadership.begin(database).free_in(12.0) == 23.0
 
 
-def _lost() -> None:
-    raise DatabaseError("another drivecal server (process 1) uses the database")
-
-
 def _ends(heartbeat: Heartbeat, error: type[Exception], words: str) -> None:
     def reported() -> bool:
         heartbeat.report([WORKER], None)
@@ -151,7 +147,8 @@ def test_the_main_thread_learns_that_another_dispatcher_was_elected_or_has_the_l
         Leadership.begin(database)
         _ends(heartbeat, SupersededError, "another dispatcher was elected")
     assert reported(database).detail == {}, "the new one's row is left alone"
-    with heartbeat_of(database, renew_lock=_lost) as heartbeat:
+    lost = DatabaseError("another drivecal server (process 1) uses the database")
+    with heartbeat_of(database, renew_lock=Mock(side_effect=lost)) as heartbeat:
         _ends(heartbeat, DatabaseError, "another drivecal server")
 
 

@@ -164,19 +164,16 @@ def test_a_heartbeat_changes_no_campaign_that_ends_while_it_waits(
     assert (ended.degraded, ended.waiting, last.kind) == (None, None, "succeeded")
 
 
-def request_trace(database: Database, evaluation: int) -> None:
-    read_trace(str(evaluation), Request({"type": "http", "state": {"token": ANYBODY}}), database, LIMITS)
-
-
 def test_a_trace_of_a_removed_cell_is_refused(postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor) -> None:
     with postgres.read() as connection:
         copied = [row.id for row in results.stream(connection, first.sequence) if row.outcome == Outcome.REUSED]
-    requested: list[Future[None]] = []
+    requested: list[Future[Any]] = []
+    asking = Request({"type": "http", "state": {"token": ANYBODY}})
 
     def request(_connection: Connection, _cursor: Any, statement: str, *_: Any) -> None:
         """The traces of these cells are gone now, and the cells are still there."""
         if statement.startswith("DELETE FROM evaluations") and not requested:
-            requested.append(beside.submit(request_trace, postgres, copied[0]))
+            requested.append(beside.submit(read_trace, str(copied[0]), asking, postgres, LIMITS))
             settle(postgres, requested[0])
 
     event.listen(postgres._engine, "before_cursor_execute", request)

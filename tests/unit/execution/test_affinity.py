@@ -6,12 +6,7 @@ from hypothesis import strategies as st
 from drivecal.contracts.work import SetupKey
 from drivecal.execution.scheduling.affinity import SetupAffinity
 
-
-def key(name: str) -> SetupKey:
-    return ("fingerprint " + name, "highway", name, "reference")
-
-
-A, B, C, D = (key(name) for name in "ABCD")
+A, B, C, D = ((f"fingerprint {name}", "highway", name, "reference") for name in "ABCD")
 
 
 def loaded(*pairs: tuple[str, SetupKey]) -> SetupAffinity:

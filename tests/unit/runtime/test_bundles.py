@@ -9,10 +9,10 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import partial
 from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from tests.support.problems import REPLAY
@@ -124,22 +124,15 @@ def test_a_worker_with_another_sumo_refuses_the_cells(
     batch = Batch(
         replace(request_, simulator=section, document={"adapter": "1", "sumo": setups.sumo()}), (Cell(1, {"x": 2.0}),)
     )
-    for other in ("0.0.1", None):
+    for other in (Mock(return_value="0.0.1"), Mock(side_effect=PackageNotFoundError)):
         with monkeypatch.context() as patch:
-            patch.setattr(setups, "version", partial(installed, other))
+            patch.setattr(setups, "version", other)
             refused = works.run(batch)
             here = setups.sumo()
         assert refused.results == ()
         assert here != setups.sumo()
         assert f"is {setups.sumo()} at the coordinator and {here} at the worker" in (refused.refusal or "")
     assert works.run(batch).refusal is None
-
-
-def installed(number: str | None, package: str) -> str:
-    """The version of a package, as `importlib.metadata` gives it."""
-    if number is None:
-        raise PackageNotFoundError(package)
-    return number
 
 
 def test_a_worker_with_another_adapter_refuses_the_cells_and_closes_nothing(

@@ -150,16 +150,11 @@ def test_the_way_since_the_start_is_that_of_the_speed_also_without_a_place_on_th
     assert happened.travelled == {"other": 60.0}
 
 
-def own_way(stretch: float, s: float, d: float) -> float:
-    """The stretch at the place of `other` below."""
-    return stretch if (s, d) == (100.0, 10.0) else 9.0
-
-
 def test_the_gap_of_others_is_that_along_their_own_way() -> None:
     gap = {"quantity": "gap", "vehicle": "other", "to": "third", "below": 30}
     places = {name: Moving(s, 10.0, 20.0, 2.0) for name, s in (("ego", 0.0), ("other", 100.0), ("third", 140.0))}
     for stretch, steps in ((1.0, []), (0.8, [0])):
-        moment = Moment(0.0, places, 0.5, partial(own_way, stretch))
+        moment = Moment(0.0, places, 0.5, partial(lambda own, s, d: own if (s, d) == (100.0, 10.0) else 9.0, stretch))
         assert fired(action(when=[gap]), [moment]) == steps
         assert fired(action(when=[gap | {"to": "ego"}]), [moment]) == []
         assert fired(action(when=[gap | {"to": "ego", "below": 46}]), [moment]) == [0]

@@ -23,7 +23,6 @@ from tests.unit.highway.planner.situations import (
 )
 
 from drivecal.bundles.highway import Scenario
-from drivecal.domain.parameters import Parameter
 from drivecal.domain.roads import Floats
 from drivecal.highway.planner.cost import weights
 from drivecal.highway.planner.planner import FrenetPlanner
@@ -114,11 +113,7 @@ def test_random_situations_reach_every_feature_and_infeasible_candidates() -> No
     assert infeasible >= 3
 
 
-def values_of(parameter: Parameter) -> st.SearchStrategy[float]:
-    return st.integers(0, parameter.n_values - 1).map(lambda index: float(parameter.value(index)))
-
-
-parameters_of_table6 = st.tuples(*(values_of(parameter) for parameter in HIGHWAY))
+parameters_of_table6 = st.tuples(*(st.integers(0, each.n_values - 1).map(each.value).map(float) for each in HIGHWAY))
 
 
 @given(parameters_of_table6, parameters_of_table6, st.integers(0, 10_000))
