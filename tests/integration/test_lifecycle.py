@@ -29,22 +29,13 @@ from drivecal.storage.references import influence_maps
 SEARCH: dict[str, Any] = {"kind": "genetic", "population": 24, "iterations": 5, "seed": 3}
 
 
-class HeldBackend(ComputedBackend):
-    """Gives nothing back while it is held."""
-
-    held = False
-
-    def wait(self, timeout: float) -> list[Any]:
-        return [] if self.held else super().wait(timeout)
-
-
 def _submit(database: Database, **changes: Any) -> StoredCampaign:
     return submit(database, **{"catalogue": ["S1", "S2"], "optimizer": SEARCH} | changes)
 
 
-def _busy(database: Database) -> tuple[StoredCampaign, HeldBackend, Dispatcher]:
+def _busy(database: Database) -> tuple[StoredCampaign, ComputedBackend, Dispatcher]:
     """A running campaign whose cells are at workers that do not answer for now."""
-    campaign, backend = _submit(database), HeldBackend()
+    campaign, backend = _submit(database), ComputedBackend()
     working = dispatcher(database, backend)
     for _ in range(4):
         working.step()

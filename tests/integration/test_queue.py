@@ -170,14 +170,6 @@ def test_a_poison_cell_has_three_attempts_however_many_dispatchers_it_sees(datab
     assert row.detail == "segmentation fault\ufffd?"
 
 
-class Silent(ComputedBackend):
-    """Its workers never answer."""
-
-    def wait(self, timeout: float) -> list[Finished | Lost]:
-        del timeout
-        return []
-
-
 def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated_again(database: Database) -> None:
     campaign = submit(database, **TINY)
     working = dispatcher(database)
@@ -196,16 +188,16 @@ def test_a_result_whose_lease_was_lost_changes_nothing_and_the_cell_is_simulated
     assert leased(database) == 0
 
 
-def test_an_answer_of_another_process_is_taken_over(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_answer_of_another_process_is_taken_over(database: Database) -> None:
     campaign = submit(database, **TINY)
-    held = Silent()
-    working = dispatcher(database, held)
+    backend = ComputedBackend(held=True)
+    working = dispatcher(database, backend)
     for _ in range(4):
         working.step()
     with database.transaction() as connection:
         last = text("UPDATE evaluations SET outcome = 'failed', failure = 'crash' WHERE id = (SELECT max(id) FROM evaluations)")
         connection.execute(last)
-    monkeypatch.setattr(Silent, "wait", ComputedBackend.wait)
+    backend.held = False
     ended = finish(database, campaign, working)
     assert ended.state is CampaignState.SUCCEEDED
 
@@ -225,7 +217,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
             text("UPDATE campaigns SET state = 'cancelled', ended_at = created_at WHERE priority = 0 AND id NOT IN (:a, :b)"),
             {"a": submitted[0].id, "b": submitted[1].id},
         )
-    working = dispatcher(database, Silent(), running_campaigns=2)
+    working = dispatcher(database, ComputedBackend(held=True), running_campaigns=2)
     for _ in range(3):
         working.step()
     assert _states(database, submitted) == ["queued", "queued", "running", "running"]
@@ -234,7 +226,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
         connection.execute(
             text("UPDATE campaigns SET state = 'succeeded', ended_at = created_at WHERE id = :id"), {"id": submitted[2].id}
         )
-    fresh = dispatcher(database, Silent(), running_campaigns=2)
+    fresh = dispatcher(database, ComputedBackend(held=True), running_campaigns=2)
     for _ in range(5):
         fresh.step()
     assert _states(database, submitted) == ["running", "running", "succeeded", "paused"]
@@ -256,7 +248,7 @@ def test_campaigns_start_by_priority_then_age_and_only_so_many_run(database: Dat
     with database.transaction() as connection:
         submitted.append(campaigns.insert(connection, name="urgent", spec=submitted[0].spec, priority=9))
     for most in (1, 2):
-        more = dispatcher(database, Silent(), running_campaigns=most)
+        more = dispatcher(database, ComputedBackend(held=True), running_campaigns=most)
         for _ in range(3):
             more.step()
         assert _states(database, submitted)[:2] == ["running", "running"], "they ran before the restart"

@@ -41,6 +41,8 @@ class ComputedBackend:
     """In its place where the answer depends on the vehicle."""
     count: int = 1
     """Number of workers, which have eight places in all if there is one, and one each if there are several."""
+    held: bool = False
+    """Whether it gives nothing back for now."""
     sent: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -55,6 +57,8 @@ class ComputedBackend:
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
         del timeout
+        if self.held:
+            return []
         self._random.shuffle(self._outstanding)
         share = self._random.randint(0, len(self._outstanding))
         done, self._outstanding = self._outstanding[:share], self._outstanding[share:]

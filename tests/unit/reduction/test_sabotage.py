@@ -23,6 +23,7 @@ REPLAYS = tries(50, 1000)
 BATCHES, CELLS = 4, 60
 
 Simulator = Callable[[Floats, int], Floats]
+Guess = Callable[[Floats, np.random.Generator], Floats]
 
 
 @dataclass(slots=True)
@@ -87,11 +88,13 @@ def inspect_references(wrong: Bools, limit: float, known: ErrorRate, secret: byt
     return tally, known.model_copy(update=seen)
 
 
-class Constant:
-    """Predicts one score, and claims to be certain and never wrong. Subclasses choose other scores."""
+@dataclass
+class Sabotaged:
+    """Predicts the scores that `guess` gives for features, and claims to be certain and never wrong."""
 
-    def __init__(self, generator: np.random.Generator, fits: list[int]) -> None:
-        self.generator, self.fits = generator, fits
+    guess: Guess
+    generator: np.random.Generator
+    fits: list[int]
 
     def fit(self, features: Floats, scores: Floats, ratings: Floats) -> None:
         del features, ratings
@@ -103,69 +106,61 @@ class Constant:
     def weights(self, features: Floats) -> Floats:
         return np.empty(len(features))
 
-    def scores(self, features: Floats) -> Floats:
-        return np.full(len(features), 3.0)
-
     def predict(self, features: Floats) -> Predictions:
-        scores, certain = self.scores(features), np.ones(len(features))
+        scores, certain = self.guess(features, self.generator), np.ones(len(features))
         return Predictions(scores, scores, certain, scores, np.zeros(len(features)))
 
 
-class Random(Constant):
-    def scores(self, features: Floats) -> Floats:
-        return self.generator.integers(0, 8, len(features)).astype(np.float64)
+def constant(features: Floats, _: object) -> Floats:
+    return np.full(len(features), 3.0)
 
 
-class OverConfident(Constant):
+def random(features: Floats, generator: np.random.Generator) -> Floats:
+    return generator.integers(0, 8, len(features)).astype(np.float64)
+
+
+def over_confident(features: Floats, generator: np.random.Generator) -> Floats:
     """Wrong by two points in a share of the cells that drifts from batch to batch."""
-
-    def scores(self, features: Floats) -> Floats:
-        share = self.generator.choice([0.02, 0.05, 0.1, 0.2, 0.4])
-        scores: Floats = true_scores(features, 0) + 2.0 * (self.generator.random(len(features)) < share)
-        return scores
+    share = generator.choice([0.02, 0.05, 0.1, 0.2, 0.4])
+    scores: Floats = true_scores(features) + 2.0 * (generator.random(len(features)) < share)
+    return scores
 
 
-class Right(Constant):
+def right(features: Floats, _: object) -> Floats:
     """Right as long as the simulator does not change its mind."""
-
-    def scores(self, features: Floats) -> Floats:
-        return true_scores(features, 0)
+    return true_scores(features)
 
 
-def true_scores(features: Floats, batch: int) -> Floats:
-    del batch
+def true_scores(features: Floats, _: int = 0) -> Floats:
     scores: Floats = np.floor(features[:, 0] * 8.0)
     return scores
 
 
-def mostly_three(features: Floats, batch: int) -> Floats:
+def mostly_three(features: Floats, _: int) -> Floats:
     """All but every twelfth set have the score that the constant predictor names: few enough errors for most samples to miss."""
-    del batch
     scores: Floats = np.where(features[:, 0] < 1 / 12, 5.0, 3.0)
     return scores
 
 
 def changed(features: Floats, batch: int) -> Floats:
     """Changes the score of a seventh of the sets in the second half of the batches."""
-    scores: Floats = true_scores(features, batch) + 2.0 * (batch >= BATCHES // 2) * (features[:, 1] < 1 / 7)
+    scores: Floats = true_scores(features) + 2.0 * (batch >= BATCHES // 2) * (features[:, 1] < 1 / 7)
     return scores
 
 
 def changed_within_a_batch(features: Floats, batch: int) -> Floats:
     """From the middle of the second batch on, and so in the middle of its lot, a fifth of the sets has another score."""
     place = batch * CELLS + np.arange(len(features))
-    scores: Floats = true_scores(features, batch) + 2.0 * (place >= 1.5 * CELLS) * (features[:, 1] < 1 / 5)
+    scores: Floats = true_scores(features) + 2.0 * (place >= 1.5 * CELLS) * (features[:, 1] < 1 / 5)
     return scores
 
 
-def replay(
-    predictor: type[Constant], simulator: Simulator, tolerance: float, limit: float, number: int
-) -> tuple[list[Tally], int]:
+def replay(guess: Guess, simulator: Simulator, tolerance: float, limit: float, number: int) -> tuple[list[Tally], int]:
     """Returns the batches of a scenario that begins with 100 known sets, and the number of fits."""
     generator, fits = np.random.default_rng([5, number]), list[int]()
-    learner = ScenarioLearner(lambda: predictor(generator, fits), tolerance)
+    learner = ScenarioLearner(lambda: Sabotaged(guess, generator, fits), tolerance)
     first = generator.random((100, 2))
-    learner.learn(first, true_scores(first, 0), np.zeros(100))
+    learner.learn(first, true_scores(first), np.zeros(100))
     tallies = []
     for batch in range(BATCHES):
         features, secret = generator.random((CELLS, 2)), number.to_bytes(4) + batch.to_bytes(4)
@@ -175,23 +170,23 @@ def replay(
 
 @pytest.mark.parametrize(("tolerance", "limit"), [(0.0, 0.05), (1.0, 0.01)])
 @pytest.mark.parametrize(
-    ("predictor", "simulator", "useless"),
+    ("guess", "simulator", "useless"),
     [
-        (Constant, true_scores, True),
-        (Constant, mostly_three, False),
-        (Random, true_scores, True),
-        (OverConfident, true_scores, False),
-        (Right, changed, False),
-        (Right, changed_within_a_batch, False),
+        (constant, true_scores, True),
+        (constant, mostly_three, False),
+        (random, true_scores, True),
+        (over_confident, true_scores, False),
+        (right, changed, False),
+        (right, changed_within_a_batch, False),
     ],
 )
 def test_replays_of_a_sabotaged_predictor_release_few_errors(
-    predictor: type[Constant], simulator: Simulator, useless: bool, tolerance: float, limit: float
+    guess: Guess, simulator: Simulator, useless: bool, tolerance: float, limit: float
 ) -> None:
     excesses: list[float] = []
     released = different = lots = 0
     for number in range(REPLAYS):
-        tallies, fits = replay(predictor, simulator, tolerance, limit, number)
+        tallies, fits = replay(guess, simulator, tolerance, limit, number)
         asked = [tally for tally in tallies if tally.lots]
         excesses.append(sum(tally.different - limit * tally.inspected for tally in asked))
         released += sum(tally.released for tally in asked)
