@@ -42,7 +42,7 @@ class ComputedBackend:
     count: int = 1
     """Number of workers, which have eight places in all if there is one, and one each if there are several."""
     held: bool = False
-    """Whether it gives nothing back for now."""
+    """True while it gives nothing back."""
     sent: list[tuple[str, tuple[float, ...]]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -196,7 +196,7 @@ def told_of(database: Database, campaign: StoredCampaign) -> list[StoredEvent]:
 
 
 def study_of(database: Database, campaign: StoredCampaign, stage: StageName = StageName.ROBUSTNESS) -> dict[str, Any]:
-    """What a study of a campaign found, which there has to be."""
+    """The result of a study of a campaign, which there has to be."""
     with database.read() as connection:
         return present(studies.get(connection, campaign.sequence, stage))
 

@@ -20,7 +20,7 @@ def study() -> Study:
 
 
 def client(*listed: Study, campaign: Campaign | None = None) -> Client:
-    """One that lists these studies of any campaign, and knows one campaign."""
+    """A client that lists these studies of any campaign, and knows one campaign."""
     return cast("Client", SimpleNamespace(studies=lambda _: StudyPage(items=list(listed)), campaign=lambda _: campaign))
 
 
