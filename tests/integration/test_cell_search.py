@@ -95,8 +95,7 @@ def test_a_search_begins_with_the_best_stored_set_however_old(database: Database
     run(database, submit_checked(database, {"problem": "old", "optimizer": filling}), ComputedBackend(driven=costly))
     campaign = submit_checked(database, {"problem": "old", "budget": {"simulations": 3}, "optimizer": {"kind": "surrogate"}})
     run(database, campaign, ComputedBackend(driven=costly))
-    with database.read() as connection:
-        assert next(iter(results.stream(connection, campaign.sequence))).parameters.floats == {"x": 0.0}
+    assert rows_of(database, campaign)[0].parameters.floats == {"x": 0.0}
 
 
 @pytest.mark.parametrize("is_random", [False, True])

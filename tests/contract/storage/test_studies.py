@@ -44,7 +44,7 @@ def test_the_studies_about_a_campaign_are_found_whoever_made_them(connection: Co
 
 def test_maps_are_listed_newest_first(connection: Connection) -> None:
     for number in range(3):
-        named = {"name": str(number), "source": "expert", "driving_function": "frenet"}
+        named: dict[str, Any] = {"name": str(number), "source": "expert", "driving_function": "frenet"}
         influence_maps.insert(connection, **named, parameters="highway", scenarios={"S1": {}})
     result: list[StoredInfluenceMap] = []
     cursor = None
