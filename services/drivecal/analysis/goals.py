@@ -63,8 +63,7 @@ class CellValue:
     def of(
         self, measures: Mapping[str, float | None], failure: str | None, parameters: ParameterSet | None = None
     ) -> float | None:
-        """Returns the value of a set's run; None if it lacks a measure. A measure beyond LARGEST counts as LARGEST, as sums of it could
-        overflow."""
+        """Returns the value of a set's run; None if it lacks a measure. Measures beyond LARGEST count as LARGEST: sums could overflow."""
         if self.change is not None:
             return None if parameters is None else self.change.of(parameters)
         if self.measure == FAILED:

@@ -63,8 +63,7 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
 
 
 def mean_of(parts: Sequence[tuple[float, Importances]]) -> Importances:
-    """Returns the mean of the importances for several values with positive weights. Intervals and deviations take the errors of the parts
-    for independent."""
+    """Returns the mean of the importances for several values with positive weights. Errors of the parts count as independent."""
     total = sum(weight for weight, _ in parts)
     shares, known = [weight / total for weight, _ in parts], [part for _, part in parts]
 

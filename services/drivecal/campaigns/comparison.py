@@ -45,8 +45,7 @@ _SHARED = {
 
 @dataclass(frozen=True, slots=True)
 class ComparisonProblem:
-    """A comparison that can run: the specifications of its campaigns, and the resolved ones of the first seed, which represent the
-    others."""
+    """A comparison that can run: the specifications of its campaigns, and the resolved ones of the first seed, which stand for all."""
 
     specification: ComparisonSpecification
     runs: Sequence[CampaignSpecification]

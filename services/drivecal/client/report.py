@@ -56,8 +56,7 @@ def _harmless(code: str) -> str:
 
 
 def _asked(campaign: Campaign, answers: dict[str, str]) -> Iterator[str]:
-    """Yields the paths that the views of a campaign ask for, with their queries as the page writes them. `answers`: those to the paths
-    before."""
+    """Yields the paths that the views of a campaign ask for, with queries as the page writes them. `answers`: the replies so far."""
     here = f"/campaigns/{campaign.id}"
     yield here
     yield f"{here}/results"

@@ -127,8 +127,7 @@ def run_problem(
 
 
 def ask_probe(manifest: Manifest, archive: bytes) -> str | None:
-    """Returns what this machine reports of tools and inputs outside of the folder, None if none are declared. Raises UnavailableError if
-    there is no answer."""
+    """Returns what this machine reports of tools and inputs outside of the folder, None if none are declared. Raises UnavailableError."""
     if not manifest.simulator.asks_workers:
         return None
     with _unpacked(archive) as folder:

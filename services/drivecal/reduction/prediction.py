@@ -43,8 +43,7 @@ pass at times, but most would be simulated."""
 
 @dataclass(frozen=True, slots=True)
 class Predictions:
-    """Predicted scores, continuous ratings and raw confidences in 0..1, with mean and variance of the believed scores; each of shape
-    (n,)."""
+    """Predicted scores, continuous ratings and raw confidences in 0..1, and mean and variance of believed scores; all of shape (n,)."""
 
     scores: Floats
     ratings: Floats

@@ -32,8 +32,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ChildProcess:
-    """A command, which shows signs of life (`cluster.pulse`). `keep`: inherited file descriptors. `environment` is added to this process's
-    own."""
+    """A command that shows signs of life (`cluster.pulse`). `keep`: inherited file descriptors. `environment`: added to this process's."""
 
     name: str
     command: Sequence[str]

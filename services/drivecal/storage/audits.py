@@ -39,8 +39,7 @@ def settle(
 
 
 def count(connection: Connection, campaign_sequence: int, evaluator: str, scale: Scale = COMFORT) -> list[AuditCount]:
-    """Returns the audit of a campaign so far, by scenario: simulated scores against the donors' scores, if these are
-    known."""
+    """Returns the audit of a campaign so far, by scenario: simulated scores against known scores of donors."""
     scenario, different, wrong = evaluations.c.scenario, scale.rounding < _CHANGE, scale.largest_agreeing < _CHANGE
     counts = func.count(), func.count(case((different, 1))), func.count(case((wrong, 1)))
     compared = evaluations.c.campaign_sequence == campaign_sequence, *_SETTLED, _TRUSTED.is_not(None)

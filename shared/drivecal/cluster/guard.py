@@ -46,8 +46,7 @@ log = logging.getLogger("drivecal.cluster")
 
 
 def vital_processes(parent: int) -> set[str]:
-    """Returns the names of Ray's vital processes among the children of a process, unless they are stopped; empty on systems without
-    /proc."""
+    """Returns the names of Ray's vital processes among the children of a process, unless they are stopped; empty without /proc."""
     return VITAL & {name for _, name, fields in processes() if int(fields[1]) == parent and fields[0] not in "ZT"}
 
 

@@ -43,8 +43,7 @@ class EventKind(StrEnum):
     INFLUENCE_MAP = "influence_map"
     """The sensitivity stage stored its map: `id`, and the `influential` parameters by scenario."""
     GENERATION = "generation"
-    """An `iteration` (from 0) of the calibration stage is finished: its cells by outcome, and its `best`, `mean` and worst (`minimum`)
-    objective."""
+    """An `iteration` (from 0) of the calibration stage is finished: its cells by outcome; `best`, `mean`, worst (`minimum`) objective."""
     BEST = "best"
     """A new best parameter set, either better than all before or best after seemingly better sets were simulated.
 

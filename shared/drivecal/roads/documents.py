@@ -104,17 +104,12 @@ class Attributes:
 
 
 def read_elements(
-    content: bytes,
-    name: str,
-    root: str,
-    start: Callable[[Attributes], None],
-    end: Callable[[str], None],
-    most: int = MOST_ELEMENTS,
+    content: bytes, name: str, root: str, start: Callable[[Attributes], None], end: Callable[[str], None]
 ) -> None:
     """Calls `start` with each element of a file, and `end` with its tag when it closes.
 
-    `name`: the file's name in messages; `root`: the tag that the document must begin with; `most`: elements that it may have. Raises
-    InvalidInputError, also whatever `start` and `end` raise.
+    `name`: the file's name in messages; `root`: the tag that the document must begin with. Raises InvalidInputError, also whatever
+    `start` and `end` raise.
     """
     _check_size(content, name, root)
     parser = expat.ParserCreate()
@@ -126,8 +121,8 @@ def read_elements(
         depth, elements = depth + 1, elements + 1
         if depth == 1 and tag != root:
             raise attributes.fault(f"the document is not a <{root}>", _REMEDIES.get(root, "give another file"))
-        if depth > DEEPEST or elements > most:
-            limit = f"nested deeper than {DEEPEST} levels" if depth > DEEPEST else f"of more than {most:,} elements"
+        if depth > DEEPEST or elements > MOST_ELEMENTS:
+            limit = f"nested deeper than {DEEPEST} levels" if depth > DEEPEST else f"of more than {MOST_ELEMENTS:,} elements"
             raise attributes.fault(f"the document is {limit}", "cut the part out that is driven")
         if any(len(value) > LONGEST_VALUE for value in values.values()):
             raise attributes.fault(f"an attribute has more than {LONGEST_VALUE:,} characters", "split the element")

@@ -90,9 +90,7 @@ class Geometry:
         bend = (last - first) / self.length
         panels = min(MOST_PANELS, max(1, ceil(self.length / PANEL)))
         whole = np.linspace(0.0, self.length, panels + 1)
-        edges = np.unique(
-            np.concatenate([whole[: np.searchsorted(whole, ds.max()) + 1], ds])
-        )  # what lies beyond is not asked for
+        edges = np.unique(np.concatenate([whole[: np.searchsorted(whole, ds.max()) + 1], ds]))  # the rest is not asked for
         steps = np.diff(edges)
         points = edges[:-1, None] + 0.5 * (1.0 + GAUSS_POINTS) * steps[:, None]
         angle = points * (first + 0.5 * bend * points)

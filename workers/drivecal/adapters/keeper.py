@@ -106,8 +106,7 @@ class Share(NamedTuple):
 
 
 def share(process: Seen) -> Share:
-    """Returns the memory of a process, with pages that several processes have divided among them; without them if /proc reports no
-    share."""
+    """Returns the memory of a process, with pages of several processes divided among them; without such pages if /proc reports no share."""
     try:
         lines = Path(f"/proc/{process.thread}/smaps_rollup").read_bytes().splitlines()
     except OSError:

@@ -253,8 +253,7 @@ def _read(descriptor: int) -> bytes | None:
 
 
 def _last_lines(messages: str) -> str:
-    """Returns the last three lines; of a traceback of Python at the end, the last location and the last lines. Marks under code are left
-    out."""
+    """Returns the last three lines; of a traceback of Python at the end, the last location and the last lines, without marks under code."""
     lines = [line.strip() for line in messages.splitlines() if line.strip(" \t^~")]
     places = (_PLACE.match(line) for line in lines[-LONGEST_END:-3])
     place = next((match for match in reversed(list(places)) if match is not None), None)

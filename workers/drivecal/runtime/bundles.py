@@ -355,8 +355,7 @@ def _unable(error: OSError) -> UnavailableError:
 
 
 def _refuse_other_parts(setup: SetupRequest, adapter: Callable[[], str]) -> None:
-    """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here, or cannot be loaded: the results are other
-    ones, too."""
+    """Raises UnavailableError if the adapter, SUMO or a plug-in of a setup is another one here, or fails to load: results would differ."""
     if not setup.document:
         return
     try:
@@ -378,8 +377,7 @@ def _refuse_other_parts(setup: SetupRequest, adapter: Callable[[], str]) -> None
 
 
 def _series(outcome: RunOutcome) -> bytes:
-    """Returns a run with its time series, without its replay if that alone is too large or not finite. Raises NoMeasuresError if the series
-    are."""
+    """Returns a run with its time series, without its replay if that alone is too large. Raises NoMeasuresError if series are."""
     series = {name: list(values) for name, values in outcome.series.items()}
     document: dict[str, Any] = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
     if outcome.replay is not None:

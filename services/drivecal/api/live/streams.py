@@ -64,8 +64,7 @@ class EventHub:
         self._closing.set()
 
     async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Sent]]:
-        """Yields a campaign's events after the event `last_id`, past and future, until its end; without any for KEEPALIVE_SECONDS an empty
-        list."""
+        """Yields a campaign's events after `last_id`, past and future, until its end; after KEEPALIVE_SECONDS without any an empty list."""
         position, revision, told = last_id, -1, time.monotonic()
         snapshot: ProgressSnapshot | None = None
         trouble: str | None = None  # what the dispatcher cannot report: its own silence, or the database's

@@ -192,8 +192,7 @@ class LotPlanner:
         return f"predictions are off in {', '.join(left_out)}: {words}" if left_out else None
 
     def _cell_seconds(self, scenario: str) -> float:
-        """Returns the mean time for which the runs that answered a scenario's cells occupied their workers; before the first, that of the
-        newest stored runs."""
+        """Returns the mean time for which runs of a scenario's cells occupied workers; before the first, that of the newest stored runs."""
         cells, microseconds = self._occupied.get(scenario, (0, 0))
         return microseconds / cells / 1e6 if cells else self._recent_seconds
 

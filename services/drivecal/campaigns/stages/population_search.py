@@ -176,10 +176,8 @@ class PopulationSearch(ComputedSearch):
             return planned
         room, reduction = self._cells_left, self._problem.specification.reduction
         seeds = [bench.seed for bench, _ in asked.cells]
-        counts, copied = self._tracker.counts, {Outcome.PREDICTED, Outcome.REUSED}
-        if any(counts.get(each, 0) for each in copied) or any(
-            cell.plan in copied for cell in planned
-        ):  # may confirm the best set
+        outcomes = {cell.plan for cell in planned} | {name for name, count in self._tracker.counts.items() if count}
+        if outcomes & {Outcome.PREDICTED, Outcome.REUSED}:  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
         place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
         if place:

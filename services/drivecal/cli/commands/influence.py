@@ -21,8 +21,7 @@ from drivecal.sensitivity.thresholds import caveats
 
 @dataclass(frozen=True)
 class Described:
-    """Rows, the title of their source, the basis of its analysis (None for a map that a user posted), and the rows of the map in its own
-    space."""
+    """Rows, the title of their source, the basis of its analysis (None for a posted map), and the rows of the map in its own space."""
 
     title: str
     rows: Sequence[InfluenceRow]

@@ -72,8 +72,7 @@ class Reservation:
         self._campaigns = {place: known for place, known in self._campaigns.items() if place[1] != tag}
 
     def is_beside_small(self, line: Line, workers: int) -> bool:
-        """Returns whether the campaign of `line` is not small, and another one of the same or a higher priority is small and had a batch
-        lately."""
+        """Returns whether the campaign of `line` is not small, and another one of at least its priority is small and had a batch lately."""
         most = SMALL_SECONDS * workers
         own = self._campaigns.get((line.priority, line.tag))
         return (own is None or own.seconds > most) and any(

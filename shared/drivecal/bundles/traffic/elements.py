@@ -162,8 +162,13 @@ def read_tree(content: bytes, name: str, root: str, substitution: Substitution |
     """Returns the document's element. `name`: the file's in messages; `root`: its tag. Raises InvalidInputError."""
     stack: list[Element] = []
     whole: list[Element] = []
+    count = 0
 
     def start(attributes: Attributes) -> None:
+        nonlocal count
+        count += 1
+        if count > MOST_ELEMENTS:
+            raise attributes.fault(f"the document has more than {MOST_ELEMENTS:,} elements", "cut the part out that is driven")
         element = Element(attributes, stack[-1] if stack else None, substitution)
         (stack[-1].children if stack else whole).append(element)
         stack.append(element)
@@ -171,7 +176,7 @@ def read_tree(content: bytes, name: str, root: str, substitution: Substitution |
     def end(_: str) -> None:
         stack.pop()
 
-    read_elements(content, name, root, start, end, MOST_ELEMENTS)
+    read_elements(content, name, root, start, end)
     whole[0].is_read = True
     return whole[0]
 

@@ -114,9 +114,8 @@ class Traffic:
             contents.append((f"routes-{Path(scenario.routes or '').name.translate(SPLITTING)}", routes.content))
         for route_file, content in contents:
             (folder / route_file).unlink(missing_ok=True)
-            with (folder / route_file).open(
-                "xb"
-            ) as file:  # an earlier child may have left a link to a file that this process may change
+            # an earlier child may have left a link to a file that this process may change
+            with (folder / route_file).open("xb") as file:
                 file.write(content)
         paths = ",".join(str(folder / route_file) for route_file, _ in contents)
         self._options = options(scenario, str(network), paths, step, routes)
