@@ -8,7 +8,7 @@ from pathlib import Path
 import yaml
 from tests.support.tree import PROJECT
 
-from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL
+from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, QUIET, VERSION_LABEL
 
 DASHBOARD = PROJECT / "deploy" / "grafana" / "drivecal.json"
 CLUSTER = PROJECT / "deploy" / "examples" / "cluster"
@@ -48,4 +48,7 @@ def test_the_manifest_for_kuberay_starts_nodes_with_the_options_of_drivecals_own
     for group in groups:
         assert group["rayStartParams"]["object-store-memory"] == str(OBJECT_STORE_BYTES)
         assert group["rayStartParams"]["labels"].startswith(f"{VERSION_LABEL}=")
+        [container] = group["template"]["spec"]["containers"]
+        given = {each["name"]: each["value"] for each in container["env"]}
+        assert given == given | QUIET | ALERT
     assert groups[0]["rayStartParams"]["num-cpus"] == "0"

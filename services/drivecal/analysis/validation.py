@@ -176,8 +176,7 @@ class Differences:
 
 
 def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
-    """Returns the sets to keep, ascending: the first of each maximal combination, which cover what all do, and then the first
-    ones up to `samples`."""
+    """Returns the sets to keep, ascending: the first of each maximal combination, which cover all, then the first up to `samples`."""
     combinations, first = np.unique(masks, axis=0, return_index=True)
     every, contained = combinations.astype(np.float32), np.zeros(len(combinations), dtype=np.bool_)
     for start in range(0, len(every), ROWS):

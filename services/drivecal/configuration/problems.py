@@ -108,8 +108,7 @@ def archive_of(problem: Pushed) -> bytes:
 
 
 def push_headers(archive: bytes, *, signed: bool) -> dict[str, str]:
-    """Returns the headers of a push. With `signed` they hold a signature by the secret of the server with this home folder, if this user
-    can read it."""
+    """Returns the headers of a push, `signed` by the secret of the server with this home folder if this user can read it."""
     headers = {"Content-Type": "application/zip"}
     secret = read_secret(load_settings().home) if signed else None
     return headers if secret is None else headers | {HEADER: sign(secret, archive)}

@@ -123,8 +123,7 @@ class TokenFile:
         """Message about the present version of the file if it cannot be used as it is."""
 
     def find(self, presented: bytes) -> Token | None:
-        """Returns the token with this secret, None without a match. Takes equally long for any secret: it compares all digests, in
-        constant time."""
+        """Returns the token with this secret, None without a match. Takes equally long for any secret: it compares all digests."""
         self._refresh()
         digest, match = _digest(presented), None
         for token in self.tokens:

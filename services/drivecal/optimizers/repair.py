@@ -28,8 +28,7 @@ def searchable(n_values: Indices) -> Indices:
 
 
 def checked_answers(objectives: Floats, tie_breakers: Floats, count: int, *, told: bool) -> tuple[Floats, Floats]:
-    """Copies of both. Raises RuntimeError if the answers were `told` already, ValueError if there is no finite number or NaN for each of
-    `count` individuals."""
+    """Copies of both. Raises RuntimeError if answers were `told` already, ValueError without a finite number or NaN for each of `count`."""
     if told:
         raise RuntimeError("the objectives of this population are known already; ask for the next one")
     for name, values in (("objectives", objectives), ("tie_breakers", tie_breakers)):

@@ -284,8 +284,7 @@ def _check_units(network: Network, lanes: Lanes) -> None:
 
 
 def _check_lengths(network: Network, lanes: Lanes) -> None:
-    """Raises InvalidInputError if the length of a lane is not that of its shape: SUMO moves vehicles by the length, and their places are
-    read from the shape."""
+    """Raises InvalidInputError if the length of a lane is not that of its shape: SUMO moves vehicles by one, places them by the other."""
     gaps = np.zeros(len(lanes.edges) + 1)
     if not any(name.startswith(":") for name in network.edges):
         gaps[0] = gaps[-1] = OUTER_GAP

@@ -14,7 +14,7 @@ from tests.support.runs import SHORT, dispatcher, get, influenced, run, submit
 from drivecal.contracts.work import Cell, CellResult
 from drivecal.domain.errors import DatabaseError
 from drivecal.domain.evaluations import Breakdown
-from drivecal.storage import campaigns
+from drivecal.storage import bundles, campaigns
 from drivecal.storage.engine.database import Database
 from drivecal.storage.maintenance import backup
 from drivecal.storage.maintenance.consistency import TOLD, verify
@@ -127,6 +127,12 @@ def test_what_is_broken_is_found_and_named(filled: Database, subtests: pytest.Su
     assert len(counters) == TOLD + 1
     assert counters[-1].startswith("counters: and ")
     assert problems(filled) == [], "each was undone"
+
+
+def test_a_damaged_problem_is_named(database: Database) -> None:
+    with database.transaction() as connection:
+        bundles.add(connection, digest="0" * 64, name="damaged", manifest={}, archive=b"no archive")
+    assert [problem.partition(":")[0] for problem in problems(database)] == ["problems"]
 
 
 def _without_foreign_keys(connection: Connection) -> None:

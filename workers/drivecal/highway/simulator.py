@@ -1,5 +1,4 @@
-"""The simulator of scenarios with a task, which drivecal's own closed loop drives in this process. Light: libsumo and numba are imported
-when a session opens."""
+"""The simulator of scenarios with a task, driven by drivecal's own closed loop in this process. Sessions import libsumo and numba."""
 
 from collections.abc import Mapping
 from dataclasses import replace

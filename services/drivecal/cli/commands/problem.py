@@ -219,8 +219,7 @@ def _print_check(report: Mapping[str, Any], checked: Sequence["CheckedScenario"]
 
 
 def _doubts_elsewhere(manifest: "Manifest", checked: Sequence["CheckedScenario"]) -> list[str]:
-    """Returns a warning for each scenario where the other set alone has no result or a score without a value, or another result in a
-    new process."""
+    """Returns a warning for each scenario where the other set alone has no result or no value, or another result in a new process."""
     warnings = []
     for result in checked:
         if result.other is None:

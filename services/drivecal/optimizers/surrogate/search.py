@@ -482,8 +482,7 @@ class SurrogateSearch:
 
 
 def _needed(aim: Aim) -> tuple[Bools, Bools]:
-    """Returns the masks of the values without which the objectives of an aim, and its constraints, have no result, shape (n_scenarios,
-    n_values)."""
+    """Returns the masks of the values that the objectives of an aim, and its constraints, need, shape (n_scenarios, n_values)."""
     shape = (aim.scenarios, aim.values)
     values = np.where(np.eye(aim.scenarios * aim.values, dtype=np.bool_), np.nan, 0.0)
     objectives, violations = aim.judge(values.reshape(-1, *shape))

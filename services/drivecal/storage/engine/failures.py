@@ -81,8 +81,7 @@ log = logging.getLogger(__name__)
 
 
 def mind_absence(connection: psycopg.Connection[Any]) -> None:
-    """Has the server end this session, with its locks, some 20 s after the client's machine is gone without a word; otherwise it would
-    take hours."""
+    """Has the server end this session, with its locks, some 20 s after the client's machine is gone without a word, not hours."""
     for setting in ("tcp_keepalives_idle = 5", "tcp_keepalives_interval = 5", "tcp_keepalives_count = 3"):
         connection.execute(f"SET {setting}".encode())
 

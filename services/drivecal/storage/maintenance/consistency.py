@@ -24,12 +24,15 @@ from sqlalchemy import (
     type_coerce,
 )
 
+from drivecal.bundles.archives import content_digest
 from drivecal.contracts.campaign import CellCounts
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import ANSWERED_BY_DONOR, INSPECTED, Outcome
 from drivecal.storage.campaigns import by_stage
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import (
+    bundles,
     campaign_stages,
     campaigns,
     evaluations,
@@ -247,6 +250,17 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
         yield f"{count:,} reference keys differ from the runs that they stand for"
 
 
+def check_bundles(connection: Connection) -> Iterator[str]:
+    """Compares pushed problems with their digests."""
+    for digest, archive in connection.execute(select(bundles.c.digest, bundles.c.archive)):
+        try:
+            is_whole = content_digest(archive) == digest
+        except InvalidInputError:
+            is_whole = False
+        if not is_whole:
+            yield f"the content of the problem with the digest {digest[:12]} is another one"
+
+
 CHECKS: dict[str, Check] = {
     "storage": check_storage,
     "counters": check_counters,
@@ -255,4 +269,5 @@ CHECKS: dict[str, Check] = {
     "lots": check_lots,
     "references": check_references,
     "copies in reference keys": check_key_copies,
+    "problems": check_bundles,
 }
