@@ -229,7 +229,7 @@ def default_of(schema: Schema, name: str, required: Sequence[str]) -> str:
     value = schema.get("default")
     if isinstance(value, dict) and value:
         return "its own defaults"
-    return code(value if isinstance(value, str) else json.dumps(value))
+    return code(value if isinstance(value, str) and not value.isdecimal() else json.dumps(value))
 
 
 def fields(model: type[BaseModel], heading: str, title: str = "") -> str:
