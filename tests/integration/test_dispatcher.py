@@ -105,9 +105,10 @@ def test_a_stop_stores_the_results_that_have_come(database: Database) -> None:
     while _get(database, campaign).cells.simulated < 50:
         working.step()
     stop.set()
+    sent = len(backend.sent)
     for _ in range(30):  # in each, some more come
         working.run(stop)
-    assert _get(database, campaign).cells.simulated == len(backend.sent)
+    assert _get(database, campaign).cells.simulated == len(backend.sent) == sent
 
 
 @pytest.mark.parametrize("paused", [False, True])

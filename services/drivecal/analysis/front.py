@@ -56,7 +56,7 @@ def _leading(distinct: Floats) -> Mask:
 
 
 def scaled(points: Floats) -> Floats:
-    """Returns points in shares of the front's ranges: 0 for the worst value of an objective on the front, 1 for the best or equal ones."""
+    """Returns points in shares of the front's ranges: 0 for an objective's worst value on the front, 1 for the best, 1 if all are equal."""
     lowest, highest = points.min(axis=0), points.max(axis=0)
     span = highest - lowest
     return np.where(span > 0, (points - lowest) / np.where(span > 0, span, 1.0), 1.0)

@@ -32,7 +32,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class MapOrigin:
-    """The influence map in use. The analysis of the campaign `made_by` made it, with these `costs` of its cells; None: a user posted it."""
+    """The influence map in use. The campaign `made_by` made it (None: a user posted it), with these `costs` of its cells."""
 
     id: str
     made_by: str | None
@@ -122,7 +122,7 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
 
 
 def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) -> BreakEven | None:
-    """Break-even of a map that cost `map_seconds`, if `requested` cells saved `reused_saved_seconds`; None: it cost nothing."""
+    """Break-even of a map that cost `map_seconds`, if `requested` cells saved `reused_saved_seconds`; None if it cost nothing."""
     if not map_seconds:
         return None
     if not reused_saved_seconds:

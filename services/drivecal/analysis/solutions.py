@@ -441,7 +441,7 @@ class Ranking:
         return min(own, key=self.order, default=None)
 
     def doubtful(self, tried: Collection[int] = ()) -> EvaluatedSet | None:
-        """The best set with a copied or predicted score that would rank before `surest`, but those `tried` (ids); None without one."""
+        """The best set with a copied or predicted score that would rank before `surest`, except those `tried` (ids); None without one."""
         if self._goals.is_vector:
             return self._doubtful_on_front(tried)
         surest = self.surest()

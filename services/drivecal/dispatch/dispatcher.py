@@ -7,7 +7,7 @@ any moment: after a crash or a failed transaction, campaigns resume from their r
 import logging
 import threading
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from datetime import timedelta
@@ -191,8 +191,8 @@ class Dispatcher:
                 self._report()
                 stop.wait(pause)
                 pause = min(2 * pause, 10.0)
-        with suppress(UnavailableError):  # else what has come is simulated again
-            self._take()
+        with suppress(UnavailableError, SupersededError, BackendLostError):  # what has come is simulated again then
+            self._take(self._pool.poll(0.0, feeds=False))
             for active in list(self._active.values()):
                 if active.job is not None and active.unwritten:
                     self._guarded(active, partial(self._record, active, active.job))
@@ -213,12 +213,11 @@ class Dispatcher:
             with logs.about(campaign=active.campaign.id, campaign_name=active.campaign.name, stage=stage):
                 self._guarded(active, partial(self._move, active))
         paces = [active.stage.write_seconds for active in self._active.values() if active.stage is not None]
-        self._take(min([POLL_SECONDS, *paces]))
+        self._take(self._pool.poll(min([POLL_SECONDS, *paces])))
 
-    def _take(self, seconds: float = 0.0) -> None:
-        """Takes the results of the workers; waits for one."""
+    def _take(self, results: Iterable[Completed]) -> None:
         by_tag = {active.tag: active for active in self._active.values()}
-        for completion in self._pool.poll(seconds):
+        for completion in results:
             if completion.tag in by_tag:
                 by_tag[completion.tag].unwritten.append(completion)
 

@@ -36,7 +36,7 @@ class Measures:
         self.late_results = self._happenings("late_results", told)
 
     def snapshot(self) -> list[list[Any]]:
-        """Returns a JSON document: name, help, type and samples of each metric; a sample has the end of its name, labels and value."""
+        """Returns a JSON document: name, help, type and samples of each metric; a sample: the end of its name, its labels, its value."""
         return [
             [
                 *(family.name, family.documentation, family.type),

@@ -198,19 +198,21 @@ class WorkPool:
             self._scheduler.add(cells, tag, priority)
         self._fill()
 
-    def poll(self, timeout: float) -> list[Completed]:
-        """Waits up to `timeout` seconds for results and keeps the workers busy. Every submitted cell comes back exactly once, with a result
+    def poll(self, timeout: float, *, feeds: bool = True) -> list[Completed]:
+        """Waits up to `timeout` seconds for results, and `feeds` the workers. Every submitted cell comes back exactly once, with a result
         or with a `breakdown` after its last attempt. A cell without a lease is forgotten: it is answered or simulated elsewhere. Returns
         earlier, perhaps empty, when a batch is lost.
 
         Raises UnavailableError if nothing can be leased; the next call returns the results. Raises BackendLostError.
         """
-        self._fill()
+        if feeds:
+            self._fill()
         events = self._backend.wait(timeout)
         self._scheduler.refusals.now = self._clock()
         for event in events:
             self._completed += self._take_in(event)
-        self._fill()
+        if feeds:
+            self._fill()
         completed, self._completed = self._completed, []
         return completed
 

@@ -44,7 +44,7 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True, slots=True)
 class WorkerLimits:
     """`workers`: None is one per CPU. A batch is ended as hung after `deadline_seconds` and DEADLINE_FACTOR times its expected time, a
-    worker after `start_seconds` of starting, which includes compiling; after each failed start it gets twice as long."""
+    worker after `start_seconds`, compiling included; after each failed start it gets twice as long, up to MOST_DOUBLINGS times."""
 
     workers: int | None = None
     deadline_seconds: float = DEADLINE_SECONDS

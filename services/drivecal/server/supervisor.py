@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class ChildProcess:
-    """A command that shows signs of life (`cluster.pulse`). `keep`: inherited file descriptors. `environment`: added to this process's."""
+    """A command that shows signs of life (`cluster.pulse`). `keep`: inherited file descriptors. `environment` adds to this process's."""
 
     name: str
     command: Sequence[str]

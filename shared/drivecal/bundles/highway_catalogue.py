@@ -86,7 +86,7 @@ MEASURES: Mapping[str, str] = MappingProxyType(
         "lane_changes": "1",
     }
 )
-"""Measures of every run, stored whether a manifest declares them or not. Gaps are read after each step, accelerations every 0.01 s."""
+"""Measures of every run, stored whether a manifest declares them or not. Gaps are read after SUMO's steps, accelerations every 0.01 s."""
 
 SERIES: Mapping[str, str] = MappingProxyType(
     {

@@ -45,7 +45,7 @@ class SimulatorEntry(Model):
     environment: Annotated[list[Variable], Field(max_length=50)] | None = None
     """Names of further variables that the processes get from the worker; a digest of each value is in the key of stored runs."""
     inputs: Annotated[list[Path | Command], Field(max_length=50)] | None = None
-    """Files and folders outside of the folder, as whole paths, and commands: stored runs have a digest of each content or output."""
+    """Files and folders outside of the folder, as whole paths, and commands; the keys of runs have a digest of each content or output."""
     resources: Resources | None = None
     """Licences and other scarce things that a run holds, by name; the server counts them (`drivecal serve --resources`)."""
 

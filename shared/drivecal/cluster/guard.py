@@ -88,7 +88,7 @@ def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
             return 1
         seen |= running
         time.sleep(poll_seconds)
-    if not signals:
+    if seen and not signals:
         log.error("Ray ended with code %d, and this node with it; start it again", process.returncode)
     return process.returncode
 

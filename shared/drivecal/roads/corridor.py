@@ -284,7 +284,7 @@ def _check_units(network: Network, lanes: Lanes) -> None:
 
 
 def _check_lengths(network: Network, lanes: Lanes) -> None:
-    """Raises InvalidInputError if the length of a lane is not that of its shape: SUMO moves vehicles by one, places them by the other."""
+    """Raises InvalidInputError if the length of a lane is not that of its shape: SUMO moves by the length, places are from the shape."""
     gaps = np.zeros(len(lanes.edges) + 1)
     if not any(name.startswith(":") for name in network.edges):
         gaps[0] = gaps[-1] = OUTER_GAP

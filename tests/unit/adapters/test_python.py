@@ -37,6 +37,15 @@ def test_sets_have_one_order_in_every_process(tmp_path: Path, monkeypatch: pytes
     assert len(measured) == 1
 
 
+def test_no_variable_brings_modules_into_a_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "sitecustomize.py").write_text("import sys; sys.customized = True")
+    write(tmp_path, "return {'y': float(hasattr(sys, 'customized'))}")
+    for places in (":", str(tmp_path)):
+        monkeypatch.setenv("PYTHONPATH", places)
+        with opened("python", tmp_path, file="model.py", environment=["PYTHONPATH"]) as session:
+            assert session.evaluate({"x": 2.0}).measures == {"y": 0.0}
+
+
 def test_the_scenario_of_a_random_function_has_the_seed(tmp_path: Path) -> None:
     write(tmp_path, "return {'y': x + 10 * scenario.get('seed', 0)}")
     for is_random, measured in ((True, [12.0, 42.0]), (False, [2.0, 2.0])):

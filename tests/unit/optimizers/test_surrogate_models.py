@@ -116,11 +116,11 @@ def scenario_model() -> ScenarioModel:
     return ScenarioModel(1, 3, ENCODING.owners, np.array([0.0]), np.array([100.0]))
 
 
-@pytest.mark.parametrize("best", [0.0, -np.inf, np.nan])
-def test_values_far_beyond_all_others_hide_no_differences_of_these(best: float) -> None:
+@pytest.mark.parametrize(("best", "worst"), [(0.0, 1e15), (-np.inf, 1e15), (np.nan, 1e9)])
+def test_values_far_beyond_all_others_hide_no_differences_of_these(best: float, worst: float) -> None:
     model = ScenarioModel(1, 3, ENCODING.owners, np.array([best]), np.array([np.inf]))
     features, targets = drawn(80, 3)
-    values = 5 + targets + np.where(features[:, 0] > 0.6, 1e9 * features[:, 0], 0.0)
+    values = 5 + targets + np.where(features[:, 0] > 0.6, worst * features[:, 0], 0.0)
     model.learn(under(features), values[:, np.newaxis], np.zeros(80, dtype=np.bool_), NONE)
     others, truth = drawn(200, 4)
     near = others[:, 0] < 0.5

@@ -223,6 +223,18 @@ def test_whole_numbers_are_sent_as_such(worker: Callable[..., Worker], request_:
     assert [json.dumps(dict(parameters)) for parameters in sent] == ['{"x": 2.0, "n": 3}']
 
 
+def test_a_crash_of_a_repeated_run_is_no_noise(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+    def evaluates(_: object) -> None:
+        runs.append(1)
+        if len(runs) == 2:
+            raise NoMeasuresError(Breakdown.CRASH, "killed")
+
+    runs: list[int] = []
+    works = worker(ScriptedSimulator(evaluates=evaluates))
+    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, check=True),))).results
+    assert (result.metrics, result.repeats, result.starts) == ({"a": 2.0}, None, 2)
+
+
 def test_a_declared_failure_needs_no_measures(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     works = worker(ScriptedSimulator({2.0: RunOutcome({}, failure="collision")}))
     (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results

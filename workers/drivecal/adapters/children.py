@@ -214,9 +214,11 @@ class Children:
 
     def _start_keeper(self) -> None:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
+        is_ours = self._command[0] == sys.executable  # a driver, into which PYTHONPATH would bring modules
+        named = [name for name in self._environment if not (is_ours and name.startswith("PYTHON"))]
         settings = {
             "command": list(self._command),
-            "environment": environment(self._scratch.home, self._environment),
+            "environment": environment(self._scratch.home, named),
             "folder": str(self._scratch.work),
             "scratch": str(self._scratch.folder),
             "memory": self._memory_mb << 20,

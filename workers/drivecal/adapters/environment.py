@@ -64,7 +64,7 @@ class Scratch:
             raise
 
     def renew(self) -> None:
-        """Empties the working directory. The manifest is not there: results do not depend on its text. Raises OSError for a spoilt one."""
+        """Empties the working directory. The manifest is not there: results do not depend on it. Raises OSError if the folder is spoilt."""
         if self.is_spoilt:
             raise PermissionError(errno.EPERM, "a process that cannot be ended may change the folder", str(self.folder))
         self.folder.chmod(0o700)  # a child may have taken rights away

@@ -239,7 +239,7 @@ class BundleSessions:
         )
 
     def _repeated(self, setup: SetupRequest, parameters: Mapping[str, Any], outcome: RunOutcome) -> tuple[bool | None, float]:
-        """Runs a cell again. Returns whether the outcome is the same, None if there is no other one, and the CPU time (ms)."""
+        """Runs a cell again. Returns whether the outcome is the same, None if there is no second one, and the CPU time (ms)."""
         start = time.thread_time_ns()
         self._starts += 1
         try:
@@ -377,7 +377,7 @@ def _refuse_other_parts(setup: SetupRequest, adapter: Callable[[], str]) -> None
 
 
 def _series(outcome: RunOutcome) -> bytes:
-    """Returns a run with its time series, without its replay if that alone is too large. Raises NoMeasuresError if series are."""
+    """Returns a run with its time series, without its replay if that is too large or not finite. Raises NoMeasuresError if they are."""
     series = {name: list(values) for name, values in outcome.series.items()}
     document: dict[str, Any] = {"measures": dict(outcome.measures), "failure": outcome.failure, "series": series}
     if outcome.replay is not None:

@@ -11,7 +11,7 @@ from drivecal.storage.revision_queries import CampaignRevision
 SILENT_SECONDS = 4.0
 """Silence of a dispatcher that does not work; it sends a heartbeat every second."""
 GONE_AFTER_SECONDS = 10.0
-"""Silence after which a dispatcher counts as gone. Before (SILENT_SECONDS) it is only reported: it may plan much, or start again."""
+"""Silence after which a dispatcher counts as gone. Before (SILENT_SECONDS) it is only reported: it may be planning, or starting again."""
 STEPS = (
     (SILENT_SECONDS, "4 s"),
     (10, "10 s"),

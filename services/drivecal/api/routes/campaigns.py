@@ -22,6 +22,7 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import deletion
+from drivecal.storage.references import runs
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
@@ -79,14 +80,14 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
         stored = campaigns.by_sequence(connection, seen.sequence)
     answer = campaign_answer(stored, moment, silent)
     if answer.curves and stored.state.ended:
-        for name, good in _good_sets(database, stored.id).items():
+        for name, good in _good_sets(database, stored.id, database.query(runs.largest_id)).items():
             answer.curves[name]["good"] = good
     return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
 
 
 @lru_cache(maxsize=256)
-def _good_sets(database: Database, ended: str) -> dict[str, Any]:
-    """Returns the range of good sets of each curve of an ended campaign. A ranking takes long, and its sets do not change any more."""
+def _good_sets(database: Database, ended: str, _newest_run: int) -> dict[str, Any]:
+    """Returns the range of good sets of each curve of an ended campaign: a ranking takes long, and changes with newer runs alone."""
     shapes = shapes_with_good_sets(StoredRanking.of(database, database.query(campaigns.get, ended)))
     return {name: shape.good for name, shape in shapes.items()}
 

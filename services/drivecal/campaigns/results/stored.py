@@ -16,7 +16,7 @@ from drivecal.storage.references import parameter_sets, runs, setups
 
 
 def given_sets(bench: Bench, given: Sequence[Values], field: str, diagnostics: Diagnostics) -> list[ParameterSet]:
-    """Returns parameter sets with a value for each parameter; adds notes. Raises InvalidInputError with each fault, in `field[number]`."""
+    """Returns parameter sets with a value for each parameter; adds notes. Raises InvalidInputError with each fault, by field and number."""
     function = Function(bench.function, {"": bench.parameters}, {}, {}, bench.bundle.manifest.shapes)
     sets = [free_values(each, function, field.format(number), diagnostics) for number, each in enumerate(given)]
     diagnostics.raise_if_any()

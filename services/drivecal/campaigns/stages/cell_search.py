@@ -5,7 +5,7 @@ Its task is the space, the aim, and the answers that are stored before the campa
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from itertools import groupby
 
 import numpy as np
@@ -26,7 +26,7 @@ from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round
 from drivecal.domain.evaluations import CellScore, RequestedCell
-from drivecal.domain.parameters import Indices
+from drivecal.domain.parameters import Indices, ParameterSet
 from drivecal.optimizers.population import start_population
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchPlugin, SearchTask
 from drivecal.storage import campaigns, generations
@@ -212,7 +212,7 @@ def _known(
 ) -> list[CellAnswer]:
     """Returns the stored answers of sets in the space, by replicate, scenario, and in the order of references. An answer is the mean over
     the seeds of a replicate, if all are stored."""
-    answers, least = list[CellAnswer](), problem.least_replicates
+    answers, least, placed = list[CellAnswer](), problem.least_replicates, cache(partial(place_in, problem.space))
     with database.read() as connection:
         watermark = campaigns.first_watermark(connection, view.campaign)  # the same again is the same
         for replicate in range(1, replicates + 1):
@@ -220,8 +220,9 @@ def _known(
             for place, scenario in enumerate(problem.scenarios):
                 cells = dict[tuple[int, ...], dict[int, CellScore]]()
                 for seed in seeds:
-                    for indices, cell in _stored(connection, view, problem, benches.of(seed), scenario, watermark):
-                        cells.setdefault(indices, {})[seed] = cell
+                    for parameters, cell in _stored(connection, view, problem, benches.of(seed), scenario, watermark):
+                        if (indices := placed(parameters)) is not None:
+                            cells.setdefault(indices, {})[seed] = cell
                 for indices, by_seed in cells.items():
                     if len(known := list(by_seed.values())) == least:
                         failed, asked = all(map(aim.is_failure, known)), AskedCell(indices, place, replicate)
@@ -233,19 +234,14 @@ def _known(
 
 def _stored(
     connection: Connection, view: View, problem: CalibrationProblem, bench: Bench, scenario: str, watermark: int
-) -> Iterator[tuple[tuple[int, ...], CellScore]]:
-    """Yields the stored runs of a bench in a scenario, with the grid indices of their sets."""
+) -> Iterator[tuple[ParameterSet, CellScore]]:
+    """Yields the sets of a bench's stored runs in a scenario, and their scores."""
     stored = earlier.rated(connection, bench, view.earlier, scenario, watermark, MOST_READ)
     measured = {} if problem.goals.valued is None else runs.values_of(connection, [run.id for run in stored])
     for run in stored:
-        indices = place_in(problem.space, run.parameters)
-        if indices is None:
-            continue
         values = {SCORE: run.score}
         if measured:
             values |= problem.goals.values(*measured[run.id], run.parameters)
         failed = bool(measured) and measured[run.id][1] is not None
-        yield (
-            indices,
-            CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values),
-        )
+        score = CellScore(0, scenario, run.score, run.rating, own=True, iteration=0, individual=0, failed=failed, values=values)
+        yield run.parameters, score

@@ -100,7 +100,7 @@ def follow(client: Client, identifier: str, timeout: float | None = None, *, fro
 
 @contextmanager
 def attached(come_back: str, timeout: float | None) -> Iterator[None]:
-    """Says how to `come_back` to what goes on, after Ctrl-C, which ends the command, and after a TimeoutError (WaitTimedOutError)."""
+    """Says how to `come_back` to what goes on, after Ctrl-C, which ends the command, and after a TimeoutError (as WaitTimedOutError)."""
     try:
         yield
     except KeyboardInterrupt as error:

@@ -146,11 +146,7 @@ class Resources:
                 return f"it needs {count} {name}, and the server has {total} (drivecal serve --resources {name}={count})"
             if taken[name] + count > total:
                 settling = sum(counts.get(name, 0) for _, counts in self._settling)
-                late = (
-                    f", {settling} of them by runs of workers that are gone, which may go on for two minutes"
-                    if settling
-                    else ""
-                )
+                late = f", {settling} of them by runs of workers that are gone, which may go on for a while" if settling else ""
                 return f"{taken[name]} of {total} {name} are in use{late}"
         reasons = [pause.reason for place, pause in self._pauses.items() if place[1] == setup.session_key]
         return f"the simulator is busy: {reasons[-1]}" if reasons else None

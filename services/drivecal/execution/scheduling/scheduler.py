@@ -181,7 +181,7 @@ class Scheduler:
         return self._worker_health.fault(worker)
 
     def is_stuck(self, worker: str) -> bool:
-        """Returns whether an idle worker keeps cells waiting: no other can try a cell that broke down there, or it refused some long."""
+        """Returns whether an idle worker keeps cells waiting: no other can try a cell that broke down there, or it long refused some."""
         return self._is_alone(worker) or self.refusals.is_overdue(worker, self._queue.setups())
 
     def hopeless(self, tag: str) -> str | None:

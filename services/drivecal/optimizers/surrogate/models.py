@@ -33,8 +33,7 @@ FEWEST = 3
 FAR_BEYOND = 0.5
 """Least gain in the logarithm of the likelihood of a value for which values without a better end are warped."""
 GAP = 4.0
-"""Gap between logarithms of values, beyond which the worse ones count as equal: other than in a part of the space that blows up, there
-are values in between."""
+"""Gap between logarithms of values, beyond which the worse ones count as equal: a part of the space blows up."""
 OUT_OF_REACH = 1e3
 """Feature that no set is near, in ranges."""
 MOST_ALIKE = 0.9999
@@ -81,7 +80,7 @@ class Warp:
     def __call__(self, values: Floats) -> Floats:
         warped = values
         if self.sign:
-            warped = np.log(np.maximum(self.sign * (values - self.origin) / self.unit, 1e-12))
+            warped = np.log(np.maximum(self.sign * (values - self.origin) / self.unit, 1e-300))
         elif self.unit:
             warped = np.arcsinh((values - self.origin) / self.unit)
         return warped
@@ -114,7 +113,7 @@ class Output:
         if warp.sign and self.prior is EXACT:  # how bad the worst are tells nothing about the best, and would hide it
             worse = np.sort(warped)[len(warped) // 2 :]
             if len(gaps := np.flatnonzero(np.diff(worse) > GAP)):
-                warped = np.minimum(warped, worse[gaps[0]] + 1.0)
+                warped = np.minimum(warped, worse[gaps[0]] + GAP)
         self.constant, self.spread = float(warped.mean()), float(warped.std())
         if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.unit == 0 else ()):
             self.process = None

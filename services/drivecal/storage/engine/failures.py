@@ -27,7 +27,7 @@ _NOT_NOW = (
     psycopg.errors.DeadlockDetected,
     psycopg.errors.DiskFull,
 )
-"""Errors of a PostgreSQL that answers, and that waiting mends."""
+"""Errors of a PostgreSQL that answers, after which to try again."""
 
 
 @contextmanager

@@ -252,7 +252,7 @@ def check_key_copies(connection: Connection) -> Iterator[str]:
 
 def check_bundles(connection: Connection) -> Iterator[str]:
     """Compares pushed problems with their digests."""
-    for digest, archive in connection.execute(select(bundles.c.digest, bundles.c.archive)):
+    for digest, archive in connection.execute(select(bundles.c.digest, bundles.c.archive).execution_options(yield_per=1)):
         try:
             is_whole = content_digest(archive) == digest
         except InvalidInputError:

@@ -62,8 +62,7 @@ def get(connection: Connection, map_id: str) -> StoredInfluenceMap:
 
 
 def page(connection: Connection, *, limit: int = 50, cursor: str | None = None) -> tuple[list[StoredInfluenceMap], str | None]:
-    """At most `limit` maps without their scenarios and basis, which may have megabytes; newest first, and the cursor of the next page (None
-    on the last). Raises InvalidInputError."""
+    """At most `limit` maps, newest first, without scenarios and basis (megabytes); the next page's cursor. Raises InvalidInputError."""
     listed = [null().label(each.name) if each.name in {"scenarios", "basis"} else each for each in influence_maps.c]
     rows, following = page_by(connection, select(*listed), influence_maps.c.sequence, limit, cursor)
     return [record(StoredInfluenceMap, row) for row in rows], following

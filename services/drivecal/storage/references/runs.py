@@ -170,8 +170,8 @@ def in_order_of_keys(
 
 
 def rated_by(evaluator: str, setup_id: int, watermark: int, *columns: ColumnElement[Any]) -> Select[Any]:
-    """Selects columns of a setup's runs that an evaluator rated, and of their ratings, both up to a watermark. A planner that saw the ids
-    would read by them, all of a setup, and sort."""
+    """Selects columns of a setup's runs that an evaluator rated, and of their ratings, both up to a watermark. `+ 0` hides the ids
+    from planners, which would read a whole setup by them, and sort."""
     joined = select(*columns).join(ratings, (ratings.c.run_id == runs.c.id) & (ratings.c.evaluator == evaluator))
     return joined.where(runs.c.setup_id == setup_id, runs.c.id + 0 <= watermark, ratings.c.since <= watermark)
 

@@ -230,7 +230,7 @@ class TaskRecorder:
             self._others[name].append(row)
 
     def completed(self, outcome: RunOutcome, record: Record, corridor: Corridor) -> RunOutcome:
-        """Returns the outcome with what was recorded: a value after each step. A last step that left the road has none: SUMO had it not."""
+        """Returns the outcome with the record: a value after each step. A last step that left the road has none: SUMO never got it."""
         n, step = len(self._poses) - 1, self._scenario.step
         ends = np.arange(1, n + 1) * round(step / TICK) - 1
         series = {"time_s": (np.arange(1, n + 1) * step).tolist()}
