@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import schemathesis
 from fastapi import FastAPI
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, assume, settings
 from hypothesis import strategies as st
 from schemathesis.checks import CheckFunction, not_a_server_error
 from schemathesis.config import SchemathesisConfig
@@ -141,6 +141,8 @@ def derive(
 @pytest.mark.timeout(LONGEST_SECONDS)
 def test_every_answer_is_as_documented(schema: BaseSchema, api: RunningApi, subtests: pytest.Subtests) -> None:
     def judge(case: schemathesis.Case[Any]) -> None:
+        # Of an address beyond 64 kB the server reads a part, and closes the connection: clients see the refusal or the end of it.
+        assume(sum(len(str(value)) for value in case.query.values()) < 4_000)
         # A server without a dispatcher is not ready, and 503 is how it says so.
         excluded = [*NOT_IN_A_SCHEMA, *([not_a_server_error] if case.operation.path == "/readyz" else [])]
         if not case.operation.path.startswith(ROOT) or any(value is None or value in ([], {}) for value in case.query.values()):

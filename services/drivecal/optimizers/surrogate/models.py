@@ -113,7 +113,7 @@ class Output:
         if warp.sign and self.prior is EXACT:  # how bad the worst are tells nothing about the best, and would hide it
             worse = np.sort(warped)[len(warped) // 2 :]
             if len(gaps := np.flatnonzero(np.diff(worse) > GAP)):
-                warped = np.minimum(warped, worse[gaps[0]] + GAP)
+                warped = np.minimum(warped, worse[gaps[0]] + 2.0)
         self.constant, self.spread = float(warped.mean()), float(warped.std())
         if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.unit == 0 else ()):
             self.process = None
