@@ -19,7 +19,7 @@ from typing import Any
 
 from drivecal.adapters import files as usage
 from drivecal.adapters import keeper
-from drivecal.adapters.environment import Scratch, environment
+from drivecal.adapters.environment import DRIVER, Scratch, environment
 from drivecal.adapters.files import Disk
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -214,7 +214,7 @@ class Children:
 
     def _start_keeper(self) -> None:
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)  # a message is received as it was sent
-        is_ours = self._command[0] == sys.executable  # a driver, into which PYTHONPATH would bring modules
+        is_ours = tuple(self._command[: len(DRIVER)]) == DRIVER  # PYTHONPATH would bring modules into it
         named = [name for name in self._environment if not (is_ours and name.startswith("PYTHON"))]
         settings = {
             "command": list(self._command),

@@ -6,14 +6,13 @@ The `probe` of a bundle is such a command as well: its output is the version of 
 import json
 import os
 import stat
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from drivecal.adapters import answers
 from drivecal.adapters.children import Children, check_command
-from drivecal.adapters.environment import Scratch
+from drivecal.adapters.environment import DRIVER, Scratch
 from drivecal.adapters.pipes import LONGEST_LINE, Pipes
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -25,8 +24,6 @@ LONGEST_ANSWER, MOST_DIGESTS = 4000, 40_000
 """Largest answer of a probe, and of all digests, in characters."""
 LEAST_MEMORY_MB = 500
 """Memory of the child that makes digests."""
-DRIVER = (sys.executable, "-P", "-s", "-B", "-m")
-"""Start of a driver's command: no modules of the working directory, no user packages, no bytecode in the bundle's folder."""
 
 
 def run_probe(section: Mapping[str, Any], folder: Path) -> str:

@@ -32,6 +32,8 @@ _REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _THREADS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """A worker is one of several on its machine, so that a simulator gets one thread if nothing else is set."""
+DRIVER = (sys.executable, "-P", "-s", "-B", "-m")
+"""Start of a driver's command: no modules of the working directory, no user packages, no bytecode in the bundle's folder."""
 _ONE_ORDER = {"PYTHONHASHSEED": "0"}
 """Python orders sets of texts by a secret of each process: equal runs in two processes would differ."""
 

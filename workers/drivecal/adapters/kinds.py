@@ -14,8 +14,8 @@ from typing import Any
 
 from drivecal.adapters import inputs
 from drivecal.adapters.children import check_command
-from drivecal.adapters.command import DRIVER, CommandSession
-from drivecal.adapters.environment import Scratch
+from drivecal.adapters.command import CommandSession
+from drivecal.adapters.environment import DRIVER, Scratch
 from drivecal.adapters.process import ProcessSession
 from drivecal.bundles import units
 from drivecal.contracts.work import runs_in_worker

@@ -166,9 +166,8 @@ class _Reader:
         """`items`: names of the values of each enumeration."""
         declared, causality = attributes.get("declaredType", ""), attributes.get("causality", "local")
         unit = attributes.get("unit") or self._type_units.get(declared) or "1"
-        is_result = (
-            causality in {"local", "output"} and "start" not in attributes and kind != "String"
-        )  # FMI 3: a child element
+        # FMI 3 has the start of a text in an element of its own
+        is_result = causality in {"local", "output"} and "start" not in attributes and kind != "String"
         return FmuVariable(
             attributes.get("name", ""),
             causality,
