@@ -1,5 +1,6 @@
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -80,6 +81,24 @@ def test_a_lost_lock_is_taken_again_unless_another_server_has_it(backend: Backen
     with server_lock.hold(empty_url), pytest.raises(DatabaseError):
         first.renew()
     eventually(first.renew)
+    first.release()
+
+
+def test_a_lock_is_taken_again_where_postgresql_has_not_noticed_that_its_connection_is_broken(
+    backend: Backend, empty_url: str
+) -> None:
+    if backend == "sqlite":
+        pytest.skip("a file lock has no connection to lose")
+    first = server_lock.hold(empty_url)
+    assert isinstance(first, server_lock._PostgresLock)
+    connected = present(first._connection.connection.driver_connection).fileno()
+    kept = os.dup(connected)
+    with socket.socket() as broken:
+        os.dup2(broken.fileno(), connected)
+    first.renew()
+    os.close(kept)
+    with pytest.raises(DatabaseError):
+        server_lock.hold(empty_url)
     first.release()
 
 

@@ -18,8 +18,9 @@ from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableError
 
 _NO_DATABASE = {sqlite3.SQLITE_NOTADB: "is not an SQLite database", sqlite3.SQLITE_CORRUPT: "is a damaged SQLite database"}
-_NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
 _FOR_NOW = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
+_NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
+"""Errors that also pass: files cannot be opened while all descriptors are in use, nor written while the disk is mounted read-only."""
 _NOT_NOW = (
     psycopg.errors.ReadOnlySqlTransaction,  # a server that takes over, or gives up, is read-only for a while
     psycopg.errors.IdleInTransactionSessionTimeout,
@@ -51,7 +52,7 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
         if code in _NO_DATABASE:
             return DatabaseError(f"{database} {_NO_DATABASE[code]}; name another file or restore a backup")
         if code in _NOT_USABLE:
-            return DatabaseError(f"{database} cannot be opened for writing; check that the file and its folder are writable")
+            return UnavailableError(f"{database} cannot be opened for writing; check that the file and its folder are writable")
         if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
             return UnavailableError(
                 f"the database {database} is locked by another process that writes to it; try again, and end whatever else has it open"

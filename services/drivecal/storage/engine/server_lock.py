@@ -88,11 +88,12 @@ class _PostgresLock(ServerLock):
     def __init__(self, url: URL, otherwise: str, server: int) -> None:
         self._name = urls.shown(url)
         self._otherwise = otherwise
-        owner = f"{_OWNER}process {server} on {socket.gethostname()}"
-        arguments = {"connect_timeout": 5, "application_name": owner[:63], "keepalives_idle": 5, "keepalives_interval": 5}
+        self._owner = f"{_OWNER}process {server} on {socket.gethostname()}"[:63]
+        arguments = {"connect_timeout": 5, "application_name": self._owner, "keepalives_idle": 5, "keepalives_interval": 5}
         self._engine = create_engine(url, poolclass=NullPool, isolation_level="AUTOCOMMIT", connect_args=arguments)
         watch = ServerLiveness(self._name)
         event.listen(self._engine, "do_connect", lambda _dialect, _record, given, options: watch.connect(*given, **options))
+        self._session = 0
         self._connection = self._acquire()
 
     def renew(self) -> None:
@@ -120,13 +121,19 @@ class _PostgresLock(ServerLock):
         with translated(self._name):
             connection = self._engine.connect()
             mind_absence(connection.connection.dbapi_connection)  # type: ignore[arg-type]  # it is psycopg's own
+            connection.execute(_END_SESSION, {"session": self._session, "owner": self._owner})
             if connection.scalar(text("SELECT pg_try_advisory_lock(:key, hashtext(current_schema()))"), {"key": KEY}):
+                self._session = connection.scalar(text("SELECT pg_backend_pid()"))
                 return connection
             holder = (connection.scalar(_HOLDER, {"key": KEY}) or "unknown").removeprefix(_OWNER)
             connection.close()
         raise DatabaseError(f"another drivecal server ({holder}) uses {self._name}; stop it, or {self._otherwise}")
 
 
+_END_SESSION = text(
+    "SELECT pg_terminate_backend(pid, 2000) FROM pg_stat_activity WHERE pid = :session AND application_name = :owner"
+)
+"""Ends this lock's last session, which PostgreSQL may not have noticed to be broken, and which still holds the lock then."""
 _HOLDER = text(
     "SELECT application_name || coalesce(', from ' || host(client_addr), '') FROM pg_locks JOIN pg_stat_activity USING (pid)"
     " WHERE locktype = 'advisory' AND granted AND classid = :key AND objid::bigint = hashtext(current_schema())::bigint & 4294967295"
