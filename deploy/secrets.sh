@@ -30,8 +30,7 @@ make() { # FILE CONTENT: in one step, so that no reader sees half a secret
 
 folder=$(setting DRIVECAL_SECRETS deploy/secrets)
 umask 077
-mkdir -p "$folder"
-chmod 700 "$folder"
+[ -d "$folder" ] || { mkdir -p "$folder" && chmod 700 "$folder"; }
 make postgres_password "$(random)"
 make dispatcher_password "$(random)"
 make ray_token "$(random)"

@@ -25,7 +25,7 @@ from drivecal import client
 from drivecal.api.app import create_app
 from drivecal.bundles import highway, manifest, shapes
 from drivecal.bundles.installed import installed_problems
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.configuration.settings import PREFIX, Settings
 from drivecal.contracts import comparison, specification, tables
 from drivecal.domain.vehicles import CLOSED_LOOP_MEASURES

@@ -168,7 +168,7 @@ BEGIN = {
     "ray-worker": ("cluster.__main__", "runtime.__main__", "adapters.kinds", "adapters.fmu_driver", "highway.drive.driver"),
 }
 """Modules at which the programs of each role begin, those included that are named in command lines only."""
-COMMAND_LINE = {"api": ("cli.main", "cli.commands.db")}
+COMMAND_LINE = {"api": ("cli.__main__", "cli.commands.db")}
 """Modules that `drivecal db` loads at once; what other commands import late is not needed."""
 
 

@@ -21,8 +21,8 @@ from drivecal.bundles.manifest import AnySimulator
 from drivecal.campaigns.comparison import resolve_comparison
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.cli.__main__ import app
 from drivecal.cli.commands.check import LimitsFile
-from drivecal.cli.main import app
 from drivecal.configuration.documents import located_yaml, read_document
 from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification

@@ -22,7 +22,7 @@ from importlib.machinery import PathFinder
 find = PathFinder.find_spec
 PathFinder.find_spec = lambda name, *others: None if name.partition(".")[0] in {absent!r} else find(name, *others)
 """
-COMMAND = "from drivecal.cli.main import app; app(sys.argv[1:])"
+COMMAND = "from drivecal.cli.__main__ import app; app(sys.argv[1:])"
 
 
 @cache
@@ -111,6 +111,6 @@ def test_a_server_on_ray_names_the_extra_before_it_starts(words: tuple[str, ...]
 def test_one_machine_needs_no_ray() -> None:
     done = run(
         "local",
-        "import drivecal.api.__main__, drivecal.dispatch.__main__, drivecal.execution.processes.backend, drivecal.cli.main",
+        "import drivecal.api.__main__, drivecal.dispatch.__main__, drivecal.execution.processes.backend, drivecal.cli.__main__",
     )
     assert done.returncode == 0, done.stderr

@@ -22,8 +22,7 @@ from drivecal.highway.drive.tasks import TaskRunner
 from drivecal.highway.planner.plugin import FRENET
 from drivecal.highway.scenarios import HIGHWAY
 from drivecal.highway.vehicle.plugin import SINGLE_TRACK
-from drivecal.plugins.setups import sumo
-from drivecal.plugins.simulators import VERSIONS
+from drivecal.plugins.simulators import VERSIONS, sumo
 
 FILE = Path(__file__).with_name("cells.json")
 SETS: dict[str, list[float]] = {

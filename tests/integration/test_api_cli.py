@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -19,7 +20,7 @@ from tests.support.server import RunningApi, free_port, serving
 from tests.support.values import MIDDLE
 from typer.testing import CliRunner
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.contracts.work import CellResult
 from drivecal.storage.engine import server_lock
 
@@ -115,6 +116,10 @@ def test_a_ranked_set_goes_to_calibration_tools_and_back(run: Run, api: RunningA
         back = json.loads(run("parameters", str(file), "--names", str(names), "--json").stdout)
         assert back["baseline"] == best["parameters"]
     assert json.loads(run(*shape, "--json").stdout)["parameters"] == best["parameters"]
+    longest = tmp_path / f"{250 * 's'}.dcm"
+    longest.touch(0o640)
+    assert run(*shape, "-o", str(longest)).exit_code == 0
+    assert stat.S_IMODE(longest.stat().st_mode) == 0o640
     run("export", submitted, "--row", "2", "-o", str(tmp_path / "set.yaml"))
     assert yaml.safe_load((tmp_path / "set.yaml").read_text()) == {"parameters": best["parameters"]}
     assert "ACC_tGap_C: {" in run("parameters", str(file)).stdout

@@ -19,6 +19,7 @@ from tests.support.server import RunningApi, serving
 from tests.support.several import SEARCH, installed
 from tests.support.values import present
 
+from drivecal.cli.commands.check import _set
 from drivecal.client import Client
 
 SPEC = SMALL | {"objectives": TWO, "optimizer": SEARCH, "reduction": {"mode": "exact"}}
@@ -165,3 +166,6 @@ def test_the_command_prints_the_front(ended: Ended, tmp_path: Path) -> None:
     one, first = (command("export", ended.first, *given, *url).stdout for given in ((), ("--table", "front")))
     assert "rank on the front: 1\n" in one
     assert one == first
+    with Client(ended.api.url) as client:
+        fronts = [row.parameters for row in client.front(ended.first)]
+        assert [_set(client, f"{ended.first}#{rank}", None).parameters for rank in (1, len(fronts))] == [fronts[0], fronts[-1]]

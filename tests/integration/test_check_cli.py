@@ -22,7 +22,7 @@ from tests.support.server import RunningApi, serving
 from tests.support.tree import PROJECT
 from typer.testing import CliRunner, Result
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.client import Client
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
 
@@ -238,6 +238,9 @@ def test_a_calibration_file_with_labels_is_checked_like_any_set(checking: Checki
     missing = checking(file)
     assert missing.exit_code == 2
     assert "parameters.P1" in missing.output
+    endless = checking(checking.file("inf.dcm", Path(file).read_text().replace("WERT 0.5", "WERT inf", 1)), "--names", names)
+    assert endless.exit_code == 2
+    assert "inf.dcm, line 4" in endless.output
 
 
 def test_the_curves_of_a_calibration_file_are_checked(checking: Checking) -> None:

@@ -11,7 +11,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.runs import dispatcher, get, run, submit
 from typer.testing import CliRunner, Result
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.storage import campaigns
 from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import Database

@@ -9,7 +9,7 @@ from drivecal.bundles.archives import content_digest, pack
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins import setups
+from drivecal.plugins import simulators
 from drivecal.plugins.simulators import UnsuitableError
 from drivecal.runtime.bundles import BundleSessions
 from drivecal.runtime.cache import BundleCache
@@ -23,8 +23,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_child_with_another_sumo_than_the_worker_s_names_both_versions(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """libsumo may be upgraded while a worker lives and starts further child processes."""
-    installed = setups.sumo()
-    monkeypatch.setattr(setups, "sumo", lambda: "libsumo 0.9")
+    installed = simulators.sumo()
+    monkeypatch.setattr(simulators, "sumo", lambda: "libsumo 0.9")
     with pytest.raises(UnavailableError, match=r"libsumo 0\.9") as error, driven(folder, drive()):
         pass
     assert installed in str(error.value)

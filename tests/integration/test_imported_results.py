@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.support.command import command
 from tests.support.computed import ComputedBackend
 from tests.support.problems import MANIFEST, heated, push
 from tests.support.runs import working
@@ -129,7 +130,8 @@ def test_a_search_starts_with_the_sets_of_a_source_and_simulates_them(api: Runni
         for changed in ({}, {"kind": "genetic", "population": 6}, few | {"population": 6}):
             again = client.rerun(campaign.id, {"weights": {}, "optimizer": changed}).spec["optimizer"]
             assert (again["start_results"], again["start_sets"][-2:]) == ("house 7", begun["start_sets"])
-        client.delete_imported("heater", "house 7")
+        for names, code in ((("heater", "house 77"), 5), (("heatre", "house 7"), 5), (("heater", "house 7"), 0)):
+            assert command("results", "delete", *names, "--url", api.url).exit_code == code
         assert client.rerun(campaign.id, {"weights": {"winter": 1}}).spec["optimizer"] == begun
 
 

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 from unittest.mock import create_autospec
 
 import httpx
@@ -21,6 +21,7 @@ from tests.support.server import RunningApi, new_database, problem_of, serving
 from tests.support.tree import PROJECT, loaded
 
 from drivecal.client import Client
+from drivecal.client.outside import _key
 from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.dispatch.heartbeat import Waits
 from drivecal.domain.errors import ConflictError
@@ -353,6 +354,7 @@ def test_a_program_that_starts_again_goes_on_without_new_simulations(sqlite: Run
         with pytest.raises(ConflictError):
             client.ask_tell(resume=own.id)
     assert whole[0] == whole[-1]
+    assert _key({"tank": cast("Any", np.array([1.0, 2.5]))}) == _key({"tank": [1.0, 2.5]})
     assert campaign.best is not None
     assert campaign.best.objective == max(answer.objective or 0 for answer in whole)
     assert min(whole, key=lambda answer: answer.loss).objective == campaign.best.objective

@@ -16,7 +16,7 @@ import drivecal.highway.vehicle
 from drivecal.adapters import confinement
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.domain.evaluations import Breakdown
-from drivecal.plugins import setups
+from drivecal.plugins import simulators
 from drivecal.plugins.simulators import UnsuitableError
 
 TRAFFIC: list[dict[str, Any]] = [{"id": "leader", "s": 160, "speed": 30}, {"s": 60, "lane": 1, "speed": 33}]
@@ -137,7 +137,7 @@ def test_every_kernel_is_there_before_a_users_code_is_loaded(kind: str, scenario
         "simulator": section.model_dump(mode="json"),
         "scenario": "trial",
         "data": scenario,
-        "sumo": setups.sumo(),
+        "sumo": simulators.sumo(),
         "kernels": None,
         "changeable": [],
         "measures": list(EVERYTHING.measures),

@@ -11,7 +11,7 @@ import structlog
 from tests.support.serve import environment
 from typer.testing import CliRunner, Result
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 
 Run = Callable[..., Result]
 """From the arguments of a command, and its standard input as `stdin`, to its result."""

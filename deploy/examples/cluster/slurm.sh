@@ -23,13 +23,14 @@ test -s "$SHARED/tokens" || "$VENV/bin/python" -c 'import secrets; print("me adm
 export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=$token
 
 head=$(scontrol show hostnames "$SLURM_JOB_NODELIST" | head -n 1)
-address=$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname --ip-address | awk '{print $1}')
+address=$(srun --nodes=1 --ntasks=1 --nodelist="$head" hostname -I | awk '{print $1}')
+cpus=${SLURM_CPUS_PER_TASK:-$SLURM_CPUS_ON_NODE} # which srun does not inherit from sbatch
 
 # The head simulates nothing, so that its machine gets a node with workers as well.
 srun --nodes=1 --ntasks=1 --overlap --nodelist="$head" \
   env DRIVECAL_NODE_ADDRESS="$address" "$VENV/bin/python" -m drivecal.cluster head --port "$PORT" &
-srun --ntasks="$SLURM_JOB_NUM_NODES" --ntasks-per-node=1 --overlap \
-  "$VENV/bin/python" -m drivecal.cluster worker "$address:$PORT" --cpus "${SLURM_CPUS_PER_TASK:-$SLURM_CPUS_ON_NODE}" &
+srun --ntasks="$SLURM_JOB_NUM_NODES" --ntasks-per-node=1 --cpus-per-task="$cpus" --overlap \
+  "$VENV/bin/python" -m drivecal.cluster worker "$address:$PORT" --cpus "$cpus" &
 
 trap 'kill $(jobs -p) 2>/dev/null; wait' TERM EXIT
 DRIVECAL_HOME=$SHARED/home DRIVECAL_RAY_ADDRESS=$address:$PORT DRIVECAL_RESOURCES=${DRIVECAL_RESOURCES:-} \

@@ -283,7 +283,7 @@ def _stored_map(connection: Connection, specification: CampaignSpecification) ->
     try:
         return influence_maps.get(connection, specification.sensitivity.map)
     except NotFoundError as error:
-        raise InvalidInputError(Problem(MAP, str(error), "GET /api/v1/influence-maps lists what there is")) from error
+        raise InvalidInputError(Problem(MAP, str(error), "`drivecal influence-maps list` prints what there is")) from error
 
 
 def named_map(connection: Connection, problem: CalibrationProblem) -> str | None:

@@ -94,7 +94,7 @@ def rerun(
         first = campaigns.get(connection, first_id)
         used = None if first.influence_map_id is None else influence_maps.get(connection, first.influence_map_id)
     if first.kind != "calibration":
-        raise ConflictError(f"{first_id} is a single evaluation, which has no weights; post another one to /api/v1/evaluations")
+        raise ConflictError(f"{first_id} is a single evaluation, which has no weights; evaluate another set")
     if not first.state.ended:
         raise ConflictError(f"campaign {first_id} is {state_of(first)}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)

@@ -1,6 +1,5 @@
 """The application, its common options, and its errors."""
 
-import re
 import sys
 from enum import IntEnum
 from importlib import import_module
@@ -84,16 +83,6 @@ EXTRAS = {
     "ray": "cluster",
 }
 """Extra of drivecal that installs a package, by the package's module."""
-
-
-_COMMANDS = (
-    (r"\bGET /api/v1/influence-maps\b(?!/)", "`drivecal influence-maps list`"),
-    (r"\bGET /api/v1/campaigns\b(?!/)", "`drivecal list`"),
-    (r"\bGET /api/v1/evaluations/(\w+)", r"`drivecal show \1`"),
-    (r"\bPOST /api/v1/comparisons\b(?!/)", "`drivecal compare-optimizers`"),
-    (r"\bpost another one to /api/v1/evaluations\b", "make another one with `drivecal evaluate`"),
-)
-"""Commands for the server's hints."""
 
 _LISTS = {
     "campaign": "`drivecal list` prints those that exist",
@@ -197,8 +186,6 @@ def complain(error: DrivecalError) -> None:
         text = "\n".join(str(Problem(", ".join(dict.fromkeys(names)), *said)) for said, names in fields.items())
     if isinstance(error, NotFoundError) and not error.hint and error.kind in _LISTS:
         text = f"{text}; {_LISTS[error.kind]}"
-    for call, command in _COMMANDS:
-        text = re.sub(call, command, text)
     for line in text.splitlines():
         typer.echo(f"drivecal: {line}", err=True)
 

@@ -186,7 +186,7 @@ class Client(Transport):
                 for chunk in response.iter_bytes():
                     events = [self._sent(follower) for follower in parser.feed(chunk)]
                     yield from events or [None]
-        except httpx.TransportError as error:
+        except httpx.RequestError as error:
             raise unreachable(self.url, error) from error
 
     def _sent(self, event: Mapping[str, str]) -> Sent:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from drivecal.contracts import strict_json
 from drivecal.contracts.assignments import finite_number, settings
 from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
@@ -48,8 +49,11 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
                 if row[kind][name] is None:
                     fault = Problem(f"{path}, row {number}, {name}", f"{value!r} is no number", "give one with a decimal point")
                     raise InvalidInputError(fault)
-            if unit is not None:
-                units[name] = unit
+            if unit is not None and units.setdefault(name, unit) != unit:
+                fault = Problem(
+                    f"{path}, row {number}, {name}", f"it is in {unit}, and before in {units[name]}", "write one unit"
+                )
+                raise InvalidInputError(fault)
         if "scenario" not in row:
             raise InvalidInputError(Problem(f"{path}, row {number}", "`scenario` is missing", "name the scenario of each row"))
         rows.append(row)
@@ -72,7 +76,7 @@ def _lines(path: Path) -> list[dict[str, Any]]:
             if twice := [name for name, columns in Counter(reader.fieldnames).items() if columns > 1]:
                 raise InvalidInputError(Problem(str(path), f"two columns have the name {twice[0]!r}", "leave one of them out"))
             return list(reader)
-        document = json.loads(text)
+        document = json.loads(text, object_pairs_hook=strict_json.unique_keys)
     if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
         raise InvalidInputError(Problem(str(path), "it is no list of objects", "write an object for each set and scenario"))
     return document

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from drivecal.client.documents import Document, plain, query_of
 from drivecal.configuration.tokens import is_this_machine
+from drivecal.contracts.strict_json import check_plain
 from drivecal.domain.errors import (
     ConflictError,
     DrivecalError,
@@ -59,12 +60,14 @@ def harmless_text(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 def unreachable(url: str, error: Exception) -> UnavailableError:
     """Returns the error of a missing answer, with the address and the remedy."""
-    reason = str(error) or type(error).__name__
+    reason, url = str(error) or type(error).__name__, re.sub(r"(?<=//)[^/]*@", "", url)  # without a password
     if isinstance(error, httpx.ReadTimeout):
         return UnavailableError(f"the server at {url} did not answer in time; it may be busy: try again")
     if "CERTIFICATE_VERIFY" in reason:
         remedy = "set SSL_CERT_FILE to the file of the certificate that signed it"
         return UnavailableError(f"the certificate of {url} is not trusted ({reason}); {remedy}")
+    if isinstance(error, LOST):
+        return UnavailableError(f"the connection to {url} broke ({reason}); try again")
     return UnavailableError(
         f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
     )
@@ -80,8 +83,8 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
     document = _document(response)
     detail = str(document.get("detail") or document.get("title") or f"HTTP {response.status_code}")
     if response.status_code == HTTPStatus.NOT_FOUND and kind and ("/" in identifier or not detail.startswith(NOTHING)):
-        missing = f"{NotFoundError(kind, identifier)}; "
-        raise NotFoundError(kind, identifier, detail.removeprefix(missing) if detail.startswith(missing) else "")
+        said = re.fullmatch(r"there is no (.+?) '(.*?)'(?:; (.*))?", detail)
+        raise NotFoundError(*(said.groups("") if said else (kind, identifier)))
     if response.status_code == HTTPStatus.CONFLICT:
         raise ConflictError(detail)
     if response.status_code == HTTPStatus.UNAUTHORIZED:
@@ -170,11 +173,14 @@ class Transport:
             message = "it has a blank, a line end or a character beyond ASCII"
             raise InvalidInputError(Problem("token", message, "give the token alone"))  # not in the message: it is a secret
         headers = {"Authorization": f"Bearer {token}"} if token else {}
+        self._answered = False
         # Proxies of the environment are for other machines: they do not reach a server on this one.
         try:
             if transport is None and is_this_machine(httpx.URL(self.url).host):
                 transport = httpx.HTTPTransport(verify=self.url.startswith("https:"))  # certificates take 50 ms to load
             self._http = httpx.Client(base_url=self.url, timeout=timeout, headers=headers, transport=transport)
+        except httpx.InvalidURL as error:
+            raise unreachable(self.url, error) from error
         except (ImportError, ValueError) as error:  # of a proxy that httpx does not know
             remedy = "correct it in the environment, or take it away"
             raise InvalidInputError(Problem("ALL_PROXY, HTTP_PROXY or HTTPS_PROXY", str(error), remedy)) from error
@@ -210,7 +216,7 @@ class Transport:
             except UnavailableError as error:
                 lost = isinstance(error.__cause__, LOST)
                 broken += lost
-                starts = broken > 0 and isinstance(error.__cause__, httpx.ConnectError)
+                starts = (broken > 0 or self._answered) and isinstance(error.__cause__, httpx.ConnectError)
                 if not (lost or starts) or broken > BROKEN_ANSWERS or waited >= PATIENCE_SECONDS:
                     if broken and "Idempotency-Key" in (content.get("headers") or {}):
                         message = f"{error}; it may be queued all the same: see `drivecal list` before you submit it again"
@@ -243,7 +249,7 @@ class Transport:
                         raise_for(response, kind, identifier)
                         yield from response.iter_bytes()
                         return
-            except httpx.TransportError as error:
+            except httpx.RequestError as error:
                 raise unreachable(self.url, error) from error
             time.sleep(asked)
             waited += asked
@@ -260,14 +266,18 @@ class Transport:
         params, path, attempt = query_of(query or {}), path_of(place), 0
         while True:
             try:
-                return self._http.request(method, path, params=params, headers=headers, json=document, content=content)
-            except (httpx.TransportError, httpx.InvalidURL) as error:
+                response = self._http.request(method, path, params=params, headers=headers, json=document, content=content)
+            except (httpx.RequestError, httpx.InvalidURL) as error:
                 attempt += 1
                 # Only a connection that was never made is tried again here, so that nothing is ever done twice.
                 if attempt == ATTEMPTS_TO_CONNECT or not isinstance(error, httpx.ConnectError):
                     raise unreachable(self.url, error) from error
             except ValueError as error:
+                check_plain(document)
                 raise InvalidInputError(Problem("", str(error), "give finite numbers, and valid Unicode text")) from error
+            else:
+                self._answered = True
+                return response
             time.sleep(SECONDS_TO_CONNECT * (attempt - 1))
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
@@ -286,7 +296,7 @@ def path_of(parts: Sequence[str]) -> str:
     for part in parts:
         if part in {"", ".", ".."}:
             raise InvalidInputError(Problem(repr(part), "it names nothing", "give an identifier"))
-    return "/api/v1/" + "/".join(quote(part, safe="") for part in parts)
+    return "/api/v1/" + "/".join(quote(part, safe="", errors="replace") for part in parts)
 
 
 def named(place: Sequence[str]) -> tuple[str, str]:

@@ -51,7 +51,7 @@ def _located_document(file: str) -> tuple[dict[str, Any], str, Mapping[str, int]
     content, name = _content(file)
     lines: Mapping[str, int] = {}
     with restated(lambda problem: replace(problem, field=": ".join(filter(None, (name, problem.field))))):
-        if name.endswith(".json") or (file == "-" and content.lstrip()[:1] in {b"{", b"["}):
+        if name.endswith(".json") or (file == "-" and re.match(rb'\s*[{\[]\s*["}\]]', content)):
             document = strict_json.loads(content)
             with suppress(InvalidInputError):  # JSON that is no YAML has no lines
                 lines = located_yaml(content)[1]

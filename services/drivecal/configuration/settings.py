@@ -102,7 +102,7 @@ class Settings(BaseSettings):
     resources: Counts = Field(default_factory=dict)
     """Licences and other scarce things that all runs of this server share, by name, as `carmaker=4,vtd=2`: see
     [resources](../how-to/resources.md)."""
-    webhook: Annotated[Line, Field(pattern=r"^https?://")] | None = Field(default=None, repr=False)
+    webhook: Annotated[Line, Field(pattern=r"^https?://[^/@\s]+(/|$)")] | None = Field(default=None, repr=False)
     """Address to which the dispatcher [posts](../how-to/monitoring.md#webhooks) that a campaign ended, stalled, or is degraded."""
     log_format: Literal["text", "json"] = "text"
     """Format of the server's log: readable lines, or a JSON document per line."""
@@ -177,6 +177,8 @@ def load_settings(**flags: Any) -> Settings:
     """Returns the settings in force. `flags`: None stands for a missing one. Raises InvalidInputError naming each faulty setting."""
     try:
         return Settings(**{name: value for name, value in flags.items() if value is not None})
+    except RuntimeError as error:
+        raise InvalidInputError(Problem("home", str(error), "write the path out")) from error
     except ValidationError as error:
         raise InvalidInputError(*(_explain(dict(problem)) for problem in error.errors(include_url=False))) from None
 
@@ -239,6 +241,6 @@ def _explain(error: dict[str, Any]) -> Problem:
     if error["type"] == "extra_forbidden":
         return Problem(name, "there is no such setting", f"one of {', '.join(sorted(Settings.model_fields))}")
     # a secret never goes into a message
-    given = "the value" if name in {"token", "webhook", "database_url"} else repr(error["input"])
+    given = "the value" if name in {"token", "webhook", "database_url"} or "@" in str(error["input"]) else repr(error["input"])
     reason = error["msg"].removeprefix("Value error, ").lower()
     return Problem(name, f"{given} does not fit: {reason}", f"it is set by flag, {PREFIX}{name.upper()} or config file")

@@ -279,7 +279,7 @@ class SupervisedBackend(Backend, ABC):
         for worker in tuple(self._workers):
             if worker.ready and self._is_silent(worker):
                 detail = f"{worker.place} showed no sign of life"
-                worker.faults, worker.reason = worker.faults + 1, f"{detail} and was replaced"
+                worker.faults, worker.reason = worker.faults + bool(worker.calls), f"{detail} and was replaced"
                 events += self._bury(worker, Breakdown.HANG, detail, None)
         return events
 

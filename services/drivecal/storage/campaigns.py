@@ -1,6 +1,7 @@
 """Campaigns: submitted by the API, run by the dispatcher."""
 
 import json
+import re
 import uuid
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -394,10 +395,11 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
     works = campaigns.c.state.in_([CampaignState.RUNNING, CampaignState.CANCELLING])  # checked again after a wait for the row
     changed = works & campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
     statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
+    told = dict(connection.execute(select(campaigns.c.sequence, campaigns.c.degraded).where(changed)).all())
     for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         if reason is None:
             events.add(connection, sequence, EventKind.RECOVERED)
-        else:
+        elif re.sub(r"\d+", "", told.get(sequence) or "") != re.sub(r"\d+", "", reason):  # each start of a worker has a number
             events.add(connection, sequence, EventKind.DEGRADED, {"reason": reason})
 
 

@@ -6,7 +6,7 @@ from typing import Any
 from drivecal.bundles.expressions import Formula
 from drivecal.bundles.manifest import Manifest, ScoreEntry
 from drivecal.domain.setups import canonical_json, digest
-from drivecal.plugins import registry, setups
+from drivecal.plugins import registry, simulators
 from drivecal.plugins.ports import Evaluator
 from drivecal.plugins.simulators import VERSIONS
 
@@ -84,7 +84,7 @@ def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, s
     parts: dict[str, str | None] = dict.fromkeys(("controller", "vehicle", "catalogue", "sumo"))
     if section["kind"] != "highway":
         return parts
-    parts["sumo"] = setups.sumo()
+    parts["sumo"] = simulators.sumo()
     if section["controller"]["kind"] != "planner":
         return parts
     function = registry.driving_function(section["controller"]["driving_function"])
@@ -94,7 +94,7 @@ def parts_of(section: Mapping[str, Any], data: Mapping[str, Any]) -> dict[str, s
     return parts | {
         "controller": f"{function.name} {function.version}",
         "vehicle": f"{vehicle.name} {vehicle.version}",
-        "sumo": setups.loaded_sumo(),
+        "sumo": simulators.loaded_sumo(),
     }
 
 

@@ -10,6 +10,7 @@ this node (default: its CPUs); `DRIVECAL_NODE_ADDRESS`, the address of this node
 import argparse
 import logging
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -107,7 +108,7 @@ def cpus_of(option: int | None, environment: Mapping[str, str]) -> int | None:
     variable = environment.get("DRIVECAL_NODE_CPUS", "")
     if option is not None or not variable:
         return option
-    if not variable.isdecimal():
+    if not re.fullmatch("[1-9][0-9]*", variable):
         raise InvalidInputError(Problem("DRIVECAL_NODE_CPUS", f"{variable!r} is not a number of workers", "give e.g. 4"))
     return int(variable)
 

@@ -107,10 +107,10 @@ class Pipe:
 
 
 def is_idle(process: int) -> bool:
-    """Returns whether no thread of a process runs, or waits for a disk. False if the system does not say."""
+    """Returns whether no thread of a process runs, or waits for a disk, or it has ended. False if the system does not say."""
     try:
         stats = [path.read_bytes() for path in Path(f"/proc/{process}/task").glob("*/stat")]
     except OSError:
         return False
     states = {stat.rpartition(b")")[2].split()[0] for stat in stats}
-    return bool(states) and not states & {b"R", b"D"}
+    return not states & {b"R", b"D"} if states else Path("/proc/self").exists()

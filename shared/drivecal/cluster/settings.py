@@ -27,6 +27,8 @@ QUIET = {
     # Bookkeeping for the dashboard, which does not run, takes a fifth of a call's CPU time.
     "RAY_task_events_report_interval_ms": "0",
     "RAY_enable_metrics_collection": "0",
+    # Statistics of its events, each minute and process, would fill /tmp in days. -1, which is to switch them off, writes without end.
+    "RAY_event_stats_print_interval_ms": "86400000",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     # Ray gives its workers a niceness of 15: on a busy machine they would hardly run, and seem to hang.
     "RAY_worker_niceness": "0",

@@ -64,4 +64,5 @@ def finite_number(given: Any) -> float | None:
         value = float(given)
     except (TypeError, ValueError):
         return None
-    return value if math.isfinite(value) and "_" not in str(given) else None  # 1_5 is 15 in Python alone
+    is_meant = "_" not in str(given) and not isinstance(given, bool)  # 1_5 is 15 in Python alone
+    return value if math.isfinite(value) and is_meant else None

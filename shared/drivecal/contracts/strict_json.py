@@ -40,7 +40,7 @@ def loads(content: bytes) -> object:
     if not text.strip():
         raise InvalidInputError(Problem("", "the document is empty", "send a JSON object, e.g. {}"))
     try:
-        document = json.loads(text, object_pairs_hook=_object, parse_int=_integer)
+        document = json.loads(text, object_pairs_hook=unique_keys, parse_int=_integer)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise InvalidInputError(Problem("", f"no valid JSON: {error.msg} at {where}", "correct the document there")) from error
@@ -90,7 +90,8 @@ def _check_text(value: str, path: Sequence[int | str]) -> None:
         raise InvalidInputError(Problem(field_name(path), message, "send whole Unicode characters")) from error
 
 
-def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
+def unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """Returns an object of JSON. Raises InvalidInputError for a second equal key."""
     document = dict(pairs)
     if len(document) != len(pairs):
         [(key, _)] = Counter(key for key, _ in pairs).most_common(1)

@@ -2,6 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol, Self
@@ -16,6 +18,19 @@ from drivecal.plugins.ports import Named
 VERSIONS: Mapping[str, str] = MappingProxyType({"process": "2", "command": "2", "python": "2", "fmu": "1", "highway": "12"})
 """Version of each kind's adapter; that of `highway` is the closed loop's, for planners too. Increase it whenever a run may change by
 a bit; `tests/golden` detects such changes. Here, because the coordinator needs it, too."""
+
+
+def sumo() -> str:
+    """Returns SUMO's library and its version as installed now, without importing it."""
+    try:
+        return f"libsumo {version('libsumo')}"
+    except PackageNotFoundError:
+        return "libsumo not installed"
+
+
+loaded_sumo = cache(sumo)
+"""Returns the same as at its first call: a process keeps the library that it has loaded."""
+
 
 START_SECONDS = 60.0
 """Shortest time limit of a simulator's start, which may load libraries and licences. Here, because the coordinator waits for it, too."""

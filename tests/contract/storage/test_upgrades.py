@@ -14,7 +14,7 @@ from sqlalchemy import Column, Connection, Engine, Index, MetaData, Text, event,
 from tests.support.storage import PROCESSES, campaign, cell, sample_set_ids, setup_id, simulate
 from typer.testing import CliRunner
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.domain.errors import DatabaseError
 from drivecal.storage.engine import schema, server_lock, tables
 from drivecal.storage.engine.database import Database

@@ -15,7 +15,7 @@ from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.highway import CLASSES, HighwaySimulator, TrafficEntry
 from drivecal.bundles.installed import installed_problems
-from drivecal.plugins import setups
+from drivecal.plugins import simulators
 
 VALID: dict[str, Any] = {
     "problem": "acc",
@@ -200,8 +200,8 @@ NAMES = [f"P{number}" for number in range(1, 12)]
 def test_a_setup_holds_the_version_of_sumo(monkeypatch: pytest.MonkeyPatch) -> None:
     """Another SUMO may give other bits: its results are kept apart."""
     said = setup_document(checked(VALID), "merge", "")
-    assert said["sumo"] == setups.sumo() != "libsumo not installed"
-    monkeypatch.setattr(setups, "version", lambda _: "0.0.1")
+    assert said["sumo"] == simulators.sumo() != "libsumo not installed"
+    monkeypatch.setattr(simulators, "version", lambda _: "0.0.1")
     assert setup_document(checked(VALID), "merge", "") == said | {"sumo": "libsumo 0.0.1"}
     assert "sumo" not in setup_document(checked(PROCESS_VALID), "city", "")
 

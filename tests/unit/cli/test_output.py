@@ -13,11 +13,11 @@ from rich.progress import Progress as RichProgress
 from rich.progress import TextColumn
 from typer.testing import CliRunner
 
+from drivecal.cli.__main__ import app
 from drivecal.cli.commands import campaigns
 from drivecal.cli.commands.campaigns import counted
 from drivecal.cli.commands.evaluate import difference_row
 from drivecal.cli.commands.results import _print
-from drivecal.cli.main import app
 from drivecal.cli.views import output, progress
 from drivecal.cli.views.output import cells_text, duration, print_campaign, print_columns, saved, when
 from drivecal.cli.views.progress import Bar, Lines

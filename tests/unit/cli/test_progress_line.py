@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 from drivecal.cli.views import output, progress
 from drivecal.cli.views.progress import Bar, progress_line, show_until_ended
 from drivecal.client.client import Client

@@ -6,15 +6,15 @@ import sys
 import pytest
 import typer
 
+from drivecal.cli.__main__ import app
 from drivecal.cli.application import COMMANDS
-from drivecal.cli.main import app
 
 HEAVY = (
     *("numpy", "scipy", "ray", "sqlalchemy", "alembic", "fastapi", "pyarrow", "pandas", "sklearn", "numba", "drivecal.bundles"),
 )
 PRINTED = """
 import sys
-from drivecal.cli.main import app
+from drivecal.cli.__main__ import app
 try:
     app(sys.argv[1:])
 finally:

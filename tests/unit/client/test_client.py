@@ -38,6 +38,7 @@ def test_fields_and_remedies_come_back_as_they_were() -> None:
     ("answer", "error", "said"),
     [
         (problem(404), NotFoundError, "'abc'"),
+        (problem(404, "there is no set 'zz'; ask for another"), NotFoundError, "no set 'zz'; ask for another"),
         (problem(409), ConflictError, "it does not fit"),
         (problem(413), InvalidInputError, "it does not fit"),
         (problem(503, "the database is gone"), UnavailableError, "the database is gone"),
@@ -150,6 +151,9 @@ def test_a_lost_answer_is_asked_for_until_the_server_is_back(waits: list[float],
         monkeypatch.setattr(httpx.Client, "request", request)
         assert client.submit({}).state == "queued"
         assert len(script.requests) == 1
+        errors += [*[refused] * 12]
+        script.answers.append(campaign("running"))
+        assert client.campaign("abc").state == "running", "it answered a moment ago"
         errors += [httpx.ReadError("reset"), *[refused] * 500]
         with pytest.raises(UnavailableError, match="drivecal list"):
             client.submit({})
@@ -231,14 +235,20 @@ def test_a_deletion_names_the_whole_id_so_that_it_can_be_asked_for_again() -> No
 
 @pytest.mark.parametrize("number", [math.nan, math.inf])
 def test_numbers_that_json_does_not_have_are_refused(number: float) -> None:
-    with server() as (client, _), pytest.raises(InvalidInputError):
-        client.expected_runs({"weights": {"S1": number}})
+    with server() as (client, _):
+        assert [fault.field for fault in faults_of(client.expected_runs, {"weights": {"S1": number}})] == ["weights.S1"]
 
 
 def test_an_id_cannot_leave_its_path() -> None:
     with server(problem(404, "there is nothing at /x; see /docs")) as (client, script), pytest.raises(NotFoundError):
         client.campaign("../workers?x=1")
     assert script.requests[0][1] == "/api/v1/campaigns/..%2Fworkers%3Fx%3D1"
+
+
+def test_an_address_that_is_none_is_refused_without_its_password() -> None:
+    with pytest.raises(UnavailableError) as refused:
+        Client("http://me:s3cret@[::1")
+    assert "s3cret" not in str(refused.value)
 
 
 def test_rows_come_from_all_pages() -> None:

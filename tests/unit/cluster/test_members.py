@@ -90,9 +90,10 @@ def test_a_node_has_as_many_workers_as_configured() -> None:
     assert node.cpus_of(None, {}) is None
     assert node.cpus_of(None, {"DRIVECAL_NODE_CPUS": "3"}) == 3
     assert node.cpus_of(2, {"DRIVECAL_NODE_CPUS": "3"}) == 2
-    with pytest.raises(InvalidInputError, match="'many'") as refused:
-        node.cpus_of(None, {"DRIVECAL_NODE_CPUS": "many"})
-    assert [problem.field for problem in refused.value.problems] == ["DRIVECAL_NODE_CPUS"]
+    for given in ("many", "0", "-1"):
+        with pytest.raises(InvalidInputError, match=f"'{given}'") as refused:
+            node.cpus_of(None, {"DRIVECAL_NODE_CPUS": given})
+        assert [problem.field for problem in refused.value.problems] == ["DRIVECAL_NODE_CPUS"]
     command = node.worker_command("h:1", 3, 6380, {"DRIVECAL_NODE_ADDRESS": "10.0.0.7"})
     assert {"--address=h:1", "--num-cpus=3", "--node-manager-port=6380", "--node-ip-address=10.0.0.7"} <= set(command)
     assert not [word for word in node.worker_command("h:1", None, 0, {}) if word.startswith(("--num-cpus", "--node-ip"))]

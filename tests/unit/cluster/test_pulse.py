@@ -44,6 +44,7 @@ def test_a_silent_process_is_replaced_within_the_promise_and_one_that_computes_l
     finally:
         sleeper.kill()
         sleeper.wait()
+    assert is_idle(sleeper.pid), "it has ended"
     clock = Clock()
     assert looks_until_replaced(Silence(clock), clock, BUSY) >= BUSY_SECONDS
 

@@ -84,7 +84,7 @@ def test_yaml_that_is_written_is_read_back(document: dict[str, Any], tmp_path_fa
 
 
 def test_standard_input_is_read_as_what_it_looks_like(monkeypatch: pytest.MonkeyPatch) -> None:
-    for content in (b'{"name":\t"a"}', b"name: a"):
+    for content in (b'{"name":\t"a"}', b"name: a", b"{name: a}"):
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
         assert read_document("-") == {"name": "a"}
 

@@ -59,6 +59,9 @@ def test_the_file_here_may_move_the_home_folder_but_the_file_at_home_may_not(tmp
         (b'ray_address = "head:http"', "^ray_address: 'head:http'"),
         (b'ray_address = "head:99999"', "^ray_address: 'head:99999'"),
         (b"home = 3", "home: "),
+        (b"home = '~no such user/x'", "home: "),
+        (b"webhook = 'http://me:s3cret@host/x'", "^webhook: the value"),
+        (b"url = 'ftp://me:s3cret@host'", "^url: the value"),
     ],
 )
 def test_a_config_file_that_is_wrong_is_refused_with_the_setting(content: bytes, message: str) -> None:

@@ -25,7 +25,7 @@ from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Argument
-from drivecal.plugins import setups
+from drivecal.plugins import simulators
 from drivecal.plugins.simulators import MOST_SESSIONS, Declared, NoMeasuresError, RunOutcome, SimulatorSession
 from drivecal.runtime import bundles
 from drivecal.runtime.bundles import IDLE_SECONDS, BundleSessions
@@ -122,16 +122,16 @@ def test_a_worker_with_another_sumo_refuses_the_cells(
     section = {"kind": "highway", "controller": {"kind": "python"}, "timeout": 10.0}
     works = worker(ScriptedSimulator())
     batch = Batch(
-        replace(request_, simulator=section, document={"adapter": "1", "sumo": setups.sumo()}), (Cell(1, {"x": 2.0}),)
+        replace(request_, simulator=section, document={"adapter": "1", "sumo": simulators.sumo()}), (Cell(1, {"x": 2.0}),)
     )
     for other in (Mock(return_value="0.0.1"), Mock(side_effect=PackageNotFoundError)):
         with monkeypatch.context() as patch:
-            patch.setattr(setups, "version", other)
+            patch.setattr(simulators, "version", other)
             refused = works.run(batch)
-            here = setups.sumo()
+            here = simulators.sumo()
         assert refused.results == ()
-        assert here != setups.sumo()
-        assert f"is {setups.sumo()} at the coordinator and {here} at the worker" in (refused.refusal or "")
+        assert here != simulators.sumo()
+        assert f"is {simulators.sumo()} at the coordinator and {here} at the worker" in (refused.refusal or "")
     assert works.run(batch).refusal is None
 
 

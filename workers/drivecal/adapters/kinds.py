@@ -20,7 +20,7 @@ from drivecal.adapters.process import ProcessSession
 from drivecal.bundles import units
 from drivecal.contracts.work import runs_in_worker
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins import registry, setups
+from drivecal.plugins import registry, simulators
 from drivecal.plugins.simulators import VERSIONS, Declared, Simulator, SimulatorSession, UnsuitableError
 from drivecal.roads.network import network_file
 
@@ -140,7 +140,7 @@ def _start_highway(section: Section, scenario: str, data: Data, scratch: Scratch
         "simulator": dict(section),
         "scenario": scenario,
         "data": dict(data),
-        "sumo": setups.sumo(),
+        "sumo": simulators.sumo(),
         "kernels": kernels,
         "changeable": None if confinement is None else confinement["writable"],
         "measures": list(declared.measures),

@@ -327,7 +327,7 @@ def ended_source(connection: Connection, campaign_id: str, field: str) -> Stored
     try:
         source = campaigns.get(connection, campaign_id)
     except NotFoundError as error:
-        raise InvalidInputError(Problem(field, str(error), "GET /api/v1/campaigns lists what there is")) from error
+        raise InvalidInputError(Problem(field, str(error), "`drivecal list` prints what there is")) from error
     if source.kind != "calibration" or not source.state.ended:
         kind = "campaign" if source.kind == "calibration" else "single evaluation"
         message = f"{campaign_id} is a {kind} that is {source.state}"

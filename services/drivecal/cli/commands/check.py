@@ -13,12 +13,13 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import typer
 from pydantic import Field, model_validator
 
+from drivecal.calibration_data.characteristics import INDEX, Characteristic
 from drivecal.cli.application import ExitCode, app, code_of_state, say
 from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, VehicleOption, ended
 from drivecal.cli.views.output import Asked, asking, print_columns, within_text
 from drivecal.cli.views.progress import pauses
 from drivecal.client.client import Client
-from drivecal.configuration.documents import read_document
+from drivecal.configuration.documents import opened_document, read_document
 from drivecal.contracts.assignments import assignments
 from drivecal.contracts.evaluation import EvaluatedCell, Evaluation
 from drivecal.contracts.input_errors import nearest, validated
@@ -26,6 +27,7 @@ from drivecal.contracts.inventory import ProblemAnswer
 from drivecal.contracts.setup import ShapeAnswer
 from drivecal.contracts.specification import DECIDING, DEFAULT_PROBLEM, ConstraintSpecification, Given, GoalSpecification, Model
 from drivecal.contracts.strict_json import Number
+from drivecal.contracts.tables import FrontRow, Solution
 from drivecal.domain.errors import InvalidInputError, NotFoundError, Problem, file_faults
 from drivecal.domain.rounding import grain
 from drivecal.domain.scales import score_text
@@ -40,14 +42,14 @@ COLUMNS = ("scenario", "score", *INTERVAL, "baseline", "obtained", "broken")
 
 @dataclass(frozen=True)
 class GivenSet:
-    """A set to check: `spec` of its campaign, empty for a file; `axes`: points of its curves; `seeds` that report it. A file without units
-    has none."""
+    """A set to check: `spec` of its campaign, empty for a file; `axes`: points of its curves; `seeds` that report it; `read` from a
+    calibration file, with units and faults."""
 
     parameters: Parameters
     spec: Mapping[str, Any] = field(default_factory=dict)
     axes: Axes = field(default_factory=dict)
     seeds: Sequence[int] = ()
-    units: Mapping[str, str] = field(default_factory=dict)
+    read: Mapping[str, Characteristic] = field(default_factory=dict)
 
 
 class SetLimit(GoalSpecification):
@@ -234,7 +236,10 @@ def check(
     """Check whether a set keeps its limits in every scenario; exit status 1 if not, and if its runs do not tell. Only what changed is
     simulated. A set of a campaign runs under the seeds that report it, with --seeds N under N seeds beginning there."""
     differing = {} if vehicle_parameters is None else assignments(vehicle_parameters.split(","), "--vehicle-parameters")
-    wanted = [] if limits is None else validated(LimitsFile, dict(read_document(limits))).limits
+    wanted: list[SetLimit] = []
+    if limits is not None:
+        with opened_document(limits) as document:
+            wanted = validated(LimitsFile, document).limits
     if names is not None and not any(Path(given).suffix.lower() in CALIBRATION_FILES for given in (chosen, baseline or "")):
         raise typer.BadParameter("only DCM and CDFX files have labels", param_hint="--names")
     given = _set(client, chosen, names, variant)
@@ -288,9 +293,12 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
     identifier, mark, rank = given.rpartition("#")
     if mark and rank.isdecimal() and int(rank) > 0:
         campaign = client.campaign(identifier)
-        ranked = client.solutions(campaign.id, limit=int(rank), variant=variant).items
+        is_front = len(campaign.spec.get("objectives") or []) > 1 and variant is None
+        ranked: Sequence[Solution | FrontRow] = (
+            client.front(campaign.id) if is_front else client.solutions(campaign.id, limit=int(rank), variant=variant).items
+        )
         if len(ranked) < int(rank):
-            raise NotFoundError("set", given, f"the campaign has {len(ranked)} ranked sets")
+            raise NotFoundError("set", given, f"the {'front' if is_front else 'campaign'} has {len(ranked)} ranked sets")
         shapes = client.setup(campaign.id).shapes
         chosen = ranked[int(rank) - 1]
         axes: Axes = {name: shape.axes for name, shape in shapes.items()}
@@ -298,8 +306,6 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         return GivenSet(chosen.parameters, spec, axes, chosen.seeds)
     if variant is not None:
         raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
-    if given != "-" and not Path(given).exists():
-        raise NotFoundError("file", given, "the best set of a campaign is ID#1")
     if Path(given).suffix.lower() == ".csv":
         raise typer.BadParameter("a set is read from YAML, JSON, DCM or CDFX, not from CSV")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
@@ -308,7 +314,6 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
             raise InvalidInputError(Problem("parameters", "they are no names with values", "give a value for each parameter"))
         return GivenSet(parameters)
     from drivecal.calibration_data import files
-    from drivecal.calibration_data.characteristics import INDEX
     from drivecal.calibration_data.sections import axis_points, joined
 
     with file_faults(Path(given), "read", "give another file"):
@@ -323,8 +328,7 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
     }
     listed += axis_points(listed)
     known = {by_label.get(each.name, each.name): each for each in listed if each.given is not None}
-    units = {name: each.unit for name, each in known.items()}
-    return GivenSet({name: each.given for name, each in known.items() if each.given is not None}, axes=axes, units=units)
+    return GivenSet({name: each.given for name, each in known.items()}, axes=axes, read=known)
 
 
 def _of_variant(spec: Mapping[str, Any], name: str, scenarios: Sequence[str]) -> Mapping[str, Any]:
@@ -370,8 +374,10 @@ def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:
     shapes = problem.shapes
     own_units = {name: str(entry.get("unit", "1")) for name, entry in problem.parameters.items()}
     own_units |= {name: shape.unit for name, shape in shapes.items()}
-    for name, unit in given.units.items():
-        wanted = own_units.get(name, unit)
+    for name, each in given.read.items():
+        unit, wanted = each.unit, own_units.get(name, each.unit)
+        if name in own_units and each.fault is not None:
+            raise InvalidInputError(each.fault)
         if not {unit, wanted} & units.WITHOUT and not units.same(unit, wanted):
             message = f"it is in {unit}, and the problem has it in {wanted}"
             raise InvalidInputError(Problem(f"parameters.{name}", message, "give a set in the problem's units"))
@@ -499,5 +505,5 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
     for row in _rows(checked, findings):
         shown = ["" if raw is None else score_text(raw) if isinstance(raw, float | int) else str(raw) for raw in row.values()]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
-    lines += [f"\n{finding.limit}: {finding.broken}" for finding in findings if finding.broken and finding.scenario == "all"]
+    lines += [f"\n{finding.limit}: {finding.broken}" for finding in findings if finding.broken]
     return "\n".join([*lines, "", ""])

@@ -9,6 +9,7 @@ import typer
 from drivecal.cli.application import app, say
 from drivecal.cli.views.output import Asked, asking, parameters_text, print_columns
 from drivecal.client.client import Client
+from drivecal.domain.errors import NotFoundError
 
 results = typer.Typer(no_args_is_help=True, help="Results of vehicles, test benches and tools, compared with simulations.")
 app.add_typer(results, name="results")
@@ -65,5 +66,7 @@ def delete(
     source: Annotated[str, typer.Argument(metavar="SOURCE", help="Name of the vehicle, test bench or tool.")],
 ) -> Asked:
     """Delete the results of a source."""
-    deleted = client.delete_imported(problem, source)
+    deleted = client.delete_imported(client.problem(problem).name, source)
+    if not deleted:
+        raise NotFoundError("source", source, f"`drivecal results list {problem}` shows those with results")
     return {"deleted": deleted}, lambda: say(f"{deleted:,} cells are deleted")

@@ -314,7 +314,8 @@ def _yaml(sections: Sections) -> Iterator[str]:
     yield "parameters:"
     for name, entry in sections.parameters.items():
         fields = ", ".join(f"{field}: {json.dumps(value, ensure_ascii=False)}" for field, value in entry.items())
-        yield f"  {name}: {{{fields}}}"
+        key = f'"{name}"' if name.lower() in {"null", "true", "false"} else name
+        yield f"  {key}: {{{fields}}}"
     if sections.baseline:
         yield "baseline:"
         yield from (f"  {name}: {json.dumps(value, ensure_ascii=False)}" for name, value in sections.baseline.items())

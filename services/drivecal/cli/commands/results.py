@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -153,7 +154,7 @@ def export(
     if to == "mlflow":
         _refuse_beside_mlflow(context)
         folder = Path("mlruns" if output == "-" else output)
-        with connect(url) as client:
+        with connect(url) as client, file_faults(folder, "written", "give another folder"):
             number = write_runs(client, identifier, folder)
         say(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
         return
@@ -265,12 +266,14 @@ def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
     """Opens a file that appears under its name only when it is complete. Devices and pipes are written as they are."""
     is_special = path.exists() and not path.is_file()  # before links are followed: /dev/stdout links to nothing
     path = path if is_special else path.resolve()
-    written = path if is_special else path.with_name(f".{path.name}.{os.getpid()}.part")
+    written = path if is_special else path.with_name(f".{os.getpid()}.part")  # a name may be as long as it can be
     try:
         with file_faults(path, "written", "give another file"):
             with written.open("wb") as stream:
                 yield stream
             if not is_special:
+                if path.exists():
+                    shutil.copymode(path, written)
                 written.replace(path)
     finally:
         if not is_special:

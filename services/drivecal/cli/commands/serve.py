@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from importlib.util import find_spec
 from typing import Annotated, Literal
@@ -91,10 +92,9 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
         log.info("starting; the database is %s", database.name)
 
         def ready() -> None:
-            if as_json:
-                typer.echo(json.dumps({"url": url, "pid": os.getpid(), "database": database.name}))
-            else:
-                typer.echo(f"drivecal is ready at {url} (Ctrl-C stops it)")
+            with suppress(OSError):  # of a full disk or a closed pipe: the server works all the same
+                told = {"url": url, "pid": os.getpid(), "database": database.name}
+                typer.echo(json.dumps(told) if as_json else f"drivecal is ready at {url} (Ctrl-C stops it)")
 
         return serving.run_server(settings, listener, url, ready)
 

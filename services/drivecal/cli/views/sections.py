@@ -164,7 +164,7 @@ def solutions_table(solutions: Sequence[Solution]) -> list[Block]:
     uncertain = ["lower", "upper", "probability_best", "replicates", "runs_to_tell"] if random else []
     rows = [
         [
-            *(solution.rank, objective_number(solution.objective), fixed(solution.rating, 3)),
+            *(solution.rank, objective_number(solution.objective), objective_number(solution.rating)),
             *(amount if isinstance(amount := getattr(solution, name), int) else score_text(amount) for name in uncertain),
             *(broken_text(solution) if solution.violation else "kept" for _ in broken),
             *(f"{value:.6g}" for value in solution.constraints.values()),

@@ -23,7 +23,7 @@ UPGRADE_LOCK = 0x64726976
 
 
 def refuse_missing(url: URL) -> None:
-    """Raises DatabaseError if the file is not there or cannot be written."""
+    """Raises DatabaseError if the file is not there."""
     file = sqlite_file(url)
     if file is None:
         return
@@ -31,9 +31,6 @@ def refuse_missing(url: URL) -> None:
         raise DatabaseError(f"{file} is a folder; name a file in it")
     if not file.exists():
         raise DatabaseError(f"there is no database {file}; `drivecal db upgrade` creates it")
-    for path in (file, file.parent):
-        if not os.access(path, os.W_OK):
-            raise DatabaseError(f"{path} is not writable; give the user that runs drivecal the right to write there")
 
 
 def prepare_file(url: URL) -> None:
@@ -49,6 +46,9 @@ def prepare_file(url: URL) -> None:
         remedy = "name another file, or give the user that runs drivecal the right to write there"
         raise DatabaseError(f"{error.filename} cannot be created: {error.strerror}; {remedy}") from error
     refuse_missing(url)
+    for path in (file, file.parent):
+        if not os.access(path, os.W_OK):
+            raise DatabaseError(f"{path} is not writable; give the user that runs drivecal the right to write there")
 
 
 def refuse_foreign(connection: Connection, database: str) -> None:

@@ -44,7 +44,9 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
     places: dict[tuple[int, str], ImportedValues] = {}
     for number, each in zip(ids, given, strict=True):
         if places.setdefault((number, each.scenario), each) != each:
-            raise ConflictError(f"{each.source} has two results of {each.date} for one set in {each.scenario}; keep one")
+            raise ConflictError(
+                f"{each.source} has two results of {each.date} for {each.parameters.floats} in {each.scenario}; keep one"
+            )
     own = select(imported_results).where(table.problem == problem, table.source == given[0].source, table.date == given[0].date)
     for row in rows_among(connection, own, table.parameter_set_id, sorted(set(ids))):
         if (row.parameter_set_id, row.scenario) not in places:
@@ -52,7 +54,8 @@ def add(connection: Connection, problem: str, given: Sequence[ImportedValues]) -
         each = places.pop((row.parameter_set_id, row.scenario))
         if (row.scores, row.measures, row.form) != (dict(each.scores), dict(each.measures), each.form):
             raise ConflictError(
-                f"{row.source} has other values of {row.date} for this set in {row.scenario}, or of other curves; delete them first"
+                f"{row.source} has other values of {row.date} for {each.parameters.floats} in {row.scenario}, or of other curves; "
+                "delete them first"
             )
     count = connection.scalar(select(func.count()).where(table.problem == problem)) or 0
     if count + len(places) > MOST:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from drivecal.adapters.driver import Evaluate, described, serve
 from drivecal.adapters.pipes import LONGEST_LINE
 from drivecal.domain.errors import UnavailableError
-from drivecal.plugins import setups
+from drivecal.plugins import simulators
 
 if TYPE_CHECKING:
     from drivecal.contracts.evaluation import ReplayAnswer
@@ -26,7 +26,7 @@ LONGEST_ID = 100
 def prepare(settings: Mapping[str, Any]) -> Evaluate:
     """Reads the network and starts SUMO and the controller. Raises UnavailableError if SUMO's version is not that of the settings."""
     # A worker replaces children for days, and libsumo may change meanwhile.
-    if (installed := setups.sumo()) != settings["sumo"]:
+    if (installed := simulators.sumo()) != settings["sumo"]:
         raise UnavailableError(
             f"the library of SUMO was {settings['sumo']} when the worker opened this scenario, and is {installed} in its new process;"
             " install the former again, or restart the server and submit the campaign again"
