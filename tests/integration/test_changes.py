@@ -9,6 +9,7 @@ from tests.support.problems import scored, store, submit_checked
 from tests.support.runs import rows_of, run
 from tests.support.values import present
 
+from drivecal.api.tables.ranking import solution_pages
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification
@@ -76,9 +77,35 @@ def test_the_second_objective_is_the_distance_from_a_set_of_another_campaign(dat
     assert 0.0 in [each.solution.judgement.amounts[1] for each in front.members], "the set itself, whose cells are stored"
 
 
+def test_a_search_goes_on_while_its_front_or_a_violation_gets_better(database: Database) -> None:
+    for goals in (
+        {"objectives": [{"changes": "baseline"}, {"score": "cost"}], "constraints": []},
+        {"constraints": [{"score": "cost", "at_most": 0.0001}]},
+    ):
+        ended = carried_out(database, **goals, budget={"simulations": 150, "stagnation": 20}, reduction={"isolated": True})
+        assert present(ended.search).better_at > 10, "the first objective is best in the first set, the baseline"
+
+
+def test_a_limit_next_to_nothing_is_broken_by_a_finite_amount(database: Database) -> None:
+    best = present(carried_out(database, constraints=[{"measure": "y", "at_most": 5e-324}], budget={"simulations": 12}).best)
+    assert 0 < best.violation < np.inf
+
+
+def test_sets_are_ranked_under_other_weights_by_the_scenarios_that_have_one(database: Database) -> None:
+    limits = [{"changes": "baseline", "at_most": 3}]
+    goals = {"objectives": [{"score": "cost"}], "constraints": limits, "weights": {"road": 9}}
+    ended = carried_out(database, **goals, budget={"simulations": 40})
+    driven = {
+        name: {row.parameters.key for row in rows_of(database, ended) if row.scenario == name} for name in ("city", "road")
+    }
+    assert driven["road"] - driven["city"], "sets were given up in between"
+    assert len(solution_pages(StoredRanking.of(database, ended), "city=0,road=1")) == len(driven["road"])
+
+
 @pytest.mark.parametrize(
     ("goal", "field"),
     [
+        ({"changes": "baseline", "at_most": -1}, "constraints[0]"),
         ({"changes": "baseline", "direction": "maximise"}, "objectives[0]"),
         ({"changes": {"p1": 0.5}}, "objectives[0].changes.p2"),
         ({"distance": "f" * 32}, "objectives[0].distance"),
@@ -86,6 +113,7 @@ def test_the_second_objective_is_the_distance_from_a_set_of_another_campaign(dat
     ],
 )
 def test_a_wrong_comparison_is_refused_by_its_field(database: Database, goal: dict[str, Any], field: str) -> None:
+    goals = {field.partition("[")[0]: [goal]}
     with pytest.raises(InvalidInputError) as refused:
-        submit_checked(database, validated(CampaignSpecification, SPEC | {"objectives": [goal]}).model_dump())
+        submit_checked(database, validated(CampaignSpecification, SPEC | goals).model_dump())
     assert any(problem.field.startswith(field) for problem in refused.value.problems)

@@ -295,8 +295,9 @@ def test_the_values_of_a_front_have_intervals_and_sets_that_may_belong_to_it_are
         ({"constraints": [{"rate": 0.01}]}, "constraints[0].rate"),
         ({"budget": {"simulations": 50}}, "constraints[0].rate"),
         ({"constraints": [{"measure": "y", "at_most": 3, "rate": 0.2, "scenarios": ["city"]}]}, "constraints[0].rate"),
+        ({"variants": {"eu": {"scenarios": ["city"]}, "us": {}}}, "constraints[0].rate"),
     ],
-    ids=["seeds", "budget", "scenarios"],
+    ids=["seeds", "budget", "scenarios", "variants"],
 )
 def test_a_rate_that_a_campaign_cannot_show_is_refused(database: Database, changes: dict[str, Any], field: str) -> None:
     assert [each.field for each in faults_of(submit_checked, database, SPEC | RATED | changes)] == [field]

@@ -207,7 +207,7 @@ class Bound(Goal):
         """Returns by how much amounts break it, in spans, of their shape; 0 if it is kept, NaN without an amount. An amount that equals
         the limit but for rounding keeps it."""
         missing = self.sign * (self.limit - amounts)
-        return np.where(missing <= grains(amounts, self.limit), 0.0, missing / self.span)
+        return np.where(missing <= grains(amounts, self.limit), 0.0, np.minimum(missing, LARGEST * self.span) / self.span)
 
 
 @dataclass(frozen=True, slots=True)
@@ -393,7 +393,7 @@ _GOALS = TypeAdapter(Goals)
 def normalised(weights: Mapping[str, float]) -> dict[str, float]:
     """Returns the positive weights with a sum of 1."""
     total = sum(weights.values())
-    return {name: weight / total for name, weight in weights.items() if weight > 0}
+    return {name: share for name, weight in weights.items() if (share := weight / total) > 0}
 
 
 def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:

@@ -358,9 +358,9 @@ def unbeaten(known: Sequence[SetStatistics], front: Sequence[int], confidence: f
 
 
 def to_tell(standing: SetStatistics, leader: int, rival: int, confidence: float) -> int | None:
-    """Returns how many runs of each of two sets would tell them apart; None if they are equal so far."""
+    """Returns how many runs of each of two sets of known noise would tell them apart; None if they are equal so far."""
     distance = abs(standing.means[leader] - standing.means[rival])
-    if distance <= 0 or not standing.is_known:
+    if distance <= 0:
         return None
     both = standing.variances[leader] + standing.variances[rival]
     return max(1, int(np.ceil(NormalDist().inv_cdf(confidence) ** 2 * both / distance**2)))

@@ -402,7 +402,7 @@ class Ranking:
             return
         has_rates = any(bound.rate is not None for bound in self._goals.bounds)  # which rank first
         probabilities, bounds = np.full(len(numbers), np.nan) if has_rates else known.probabilities(), known.bounds(confidence)
-        ahead, halves = known.ahead(leader), known.half_widths(confidence)
+        ahead, halves, errors = known.ahead(leader), known.half_widths(confidence), known.standard_errors
         for place, number in enumerate(numbers):
             solution = self._solutions[number]
             is_reported, half = solution.chosen_by is not None, float(halves[place])
@@ -410,7 +410,7 @@ class Ranking:
             middle = solution.objective if self._level is None else solution.sign * float(known.means[place])
             self._solutions[number] = replace(
                 solution,
-                standard_error=solution.standard_error if is_reported else float(known.standard_errors[place]),
+                standard_error=solution.standard_error if is_reported else float(errors[place]),
                 # runs that chose the best set say too much of it
                 lower=solution.lower if is_reported else None if place == leader else middle - half,
                 upper=solution.upper if is_reported else None if place == leader else middle + half,

@@ -25,7 +25,12 @@ from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
-from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, RerunSpecification
+from drivecal.contracts.specification import (
+    CampaignSpecification,
+    EvaluationSpecification,
+    ReductionSpecification,
+    RerunSpecification,
+)
 from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import canonical_json, digest
 from drivecal.storage import admission, campaigns
@@ -258,6 +263,9 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
     for name in ("evaluator", "problem"):
         if getattr(changes, name) is not None:
             document[name] = getattr(changes, name)
+    unasked = ReductionSpecification().mode
+    if changes.evaluator is not None and document["reduction"].get("mode") == unasked:
+        document["reduction"] = {name: value for name, value in document["reduction"].items() if name != "mode"}
     if used is not None:
         document["sensitivity"] = {"map": used.id}
     return document

@@ -332,6 +332,8 @@ class ConstraintSpecification(GoalSpecification):
             return self
         if (self.at_least is None) == (self.at_most is None):
             raise ValueError(f"it has {'no limit' if self.at_least is None else 'two limits'}; give at_least or at_most")
+        if (self.changes or self.distance) and (self.at_most or 0.0) < 0:
+            raise ValueError("no set is nearer than 0; give at_most of 0 or more")
         return self
 
 

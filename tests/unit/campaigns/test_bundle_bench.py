@@ -282,6 +282,8 @@ def test_robustness_studies_vary_what_a_problem_declares() -> None:
     varied = {"slope": {"nominal": 0.01, "lower": -0.1, "upper": 0.1}}
     problem = resolved(bundle(varied=varied), robustness=robust)
     assert [each.name for each in problem.bench.varied] == ["slope"]
+    assert faulty_fields(resolved, bundle(varied=varied), robustness=robust | {"eta": 1e4}) == ["robustness.eta"]
+    resolved(bundle(varied=varied), robustness=robust | {"eta": 1e4, "condition": "mean"})  # a share of the score
     steep = replace(problem.bench, values={"slope": 0.1})
     assert steep.requests["wet"].varied == {"slope": 0.1}
     assert len({bench.requests["wet"].session_key for bench in (problem.bench, steep, replace(steep, seed=2))}) == 1

@@ -90,6 +90,11 @@ def test_the_measures_of_the_closed_loop_are_those_of_its_runs() -> None:
     assert runner.run(values).measures.keys() == CLOSED_LOOP_MEASURES.keys()
 
 
+def test_scenarios_that_no_variant_has_are_noted() -> None:
+    variants = {"eu": {"scenarios": ["S1", "S2"]}, "us": {"scenarios": ["S1"]}}
+    assert [note for note in resolved(variants=variants, weights={"S3": 2}).notes if "S3" in note and "S2" not in note]
+
+
 def test_faults_of_variants_name_the_field() -> None:
     us: dict[str, Any] = {"weights": {"S9": 1.0}, "vehicle": {"parameters": {"mas": 1.0}}}
     given: dict[str, Any] = {"objectives": [{"score": "comfort", "scenarios": ["S1"]}], "robustness": {}}

@@ -110,7 +110,9 @@ def _constrained(goals: Goals, weights: Mapping[str, float], scale: Scale, score
     if not goals.bounds:
         return weighted_mean(scale, weights)
     shares = normalised(weights)
-    return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), goals.bounds)
+    # a change needs no run, so that it is known in each of these scenarios
+    bounds = tuple(bound if bound.value.change is None else replace(bound, shares=shares) for bound in goals.bounds)
+    return Goals((Objective(scale.name, score or CellValue(scale), shares, Aggregate(), scale.sign),), bounds)
 
 
 def _other_score(stored: StoredRanking, name: str) -> CellValue | None:

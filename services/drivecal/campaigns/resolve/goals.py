@@ -151,7 +151,11 @@ def _change(given: GoalSpecification, field: str, known: KnownValues, diagnostic
     if isinstance(wanted, Mapping):
         reference = given_set(wanted, known.constraints, f"{field}.{place}", diagnostics, known.shapes)
     elif reference is None or wanted != "baseline":
-        message = "the campaign has no baseline" if wanted == "baseline" else f"{wanted} is no ranked set of such curves"
+        message = (
+            "the campaign has no baseline"
+            if wanted == "baseline"
+            else f"{wanted} is no ranked set of a campaign with such curves"
+        )
         diagnostics.add(f"{field}.{place}", message, "give a `baseline`, or the values of a set")
     if reference is None or known.constraints is None:
         return None
@@ -221,6 +225,6 @@ def normalise_weights(
     if scenarios and total == 0:
         diagnostics.add("weights", "all weights are 0, so nothing would be simulated", "give a scenario a positive weight")
         return {}, ()
-    left_out = [name for name, weight in weights.items() if weight == 0]
-    notes = (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()
-    return {name: weight / total for name, weight in weights.items() if weight > 0}, notes
+    shares = normalised(weights)
+    left_out = [name for name in weights if name not in shares]
+    return shares, (f"not simulated because their weight is 0: {', '.join(left_out)}",) if left_out else ()

@@ -43,6 +43,7 @@ from drivecal.contracts.work import Batch, Cell
 from drivecal.domain.constraints import Constraints
 from drivecal.domain.errors import Diagnostics, InvalidInputError, Problem
 from drivecal.domain.parameters import Indices, Parameter, ParameterSet, ParameterSpace
+from drivecal.domain.setups import base_of
 from drivecal.reduction.assignment import LIKELY
 from drivecal.reduction.lots import smallest_plan
 from drivecal.sensitivity.analysis import SensitivityAnalysis
@@ -88,6 +89,9 @@ def find_variants(
         remedy = "leave it out, and give robustness.sets in a campaign with the vehicle of one variant"
         diagnostics.add("robustness", "it varies one vehicle, and variants have others", remedy)
     listed = [scenario + suffix for scenario in weights for suffix in suffixes]
+    simulated = {base_of(each) for own in shares.values() for each in own}
+    if left_out := [scenario for scenario in weights if scenario not in simulated]:
+        diagnostics.notes.append(f"not simulated because no variant has them: {', '.join(left_out)}")
     return Variants(shares, normalised({each: sum(own.get(each, 0.0) for own in shares.values()) for each in listed}), vehicles)
 
 
@@ -216,6 +220,11 @@ class CalibrationProblem:
         return seeds if is_compared and self.bench.is_random and affordable else seeds[:0]
 
     @property
+    def fewest_seeds(self) -> int:
+        """Number of seeds that show all rates, for each variant too, if no run is beyond a limit."""
+        return max(goals.fewest_seeds for goals in (self.goals, *self.variants.values()))
+
+    @property
     def search(self) -> Optimization:
         """The chosen optimizer. Raises ValueError without one."""
         if self.optimization is None:
@@ -228,7 +237,7 @@ class CalibrationProblem:
         if self.optimization is None or budget is None or budget.simulations is None or not is_random:
             return None if budget is None else budget.simulations
         by_cell, most = not self.optimization.has_populations, self.specification.replicates.most
-        shown, of_variants = self.goals.fewest_seeds, self.scenarios_of_variants
+        shown, of_variants = self.fewest_seeds, self.scenarios_of_variants
         kept = kept_back(budget.simulations, len(self.scenarios), most, shown, of_variants, by_cell=by_cell)
         return budget.simulations - kept - len(self.baseline_seeds) * len(self.scenarios)
 
@@ -371,7 +380,9 @@ def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
     for place, bound in enumerate(problem.goals.bounds):
         if bound.rate is None:
             continue
-        field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / len(bound.shares))
+        held = [own for goals in (problem.goals, *problem.variants.values()) for own in goals.bounds]
+        scenarios = min(len(own.shares) for own in held if replace(own, shares=bound.shares) == bound)
+        field, seeds, needed = f"constraints[{place}].rate", choosing(most), ceil(bound.fewest_runs / scenarios)
         takes = f"a rate of {bound.rate:g} takes {bound.fewest_runs:,} runs without one beyond the limit"
         kept = 2 * fewest(len(problem.scenarios), most, needed)
         if not problem.bench.is_random:
@@ -379,7 +390,7 @@ def _check_rates(problem: CalibrationProblem, diagnostics: Diagnostics) -> None:
             diagnostics.add(field, message, "leave it out, or give `random: true` in problem.yaml")
         elif needed > seeds:
             enough = next((more for more in range(most, LARGEST_REPLICATES + 1) if choosing(more) >= needed), None)
-            shown = (seeds if enough else choosing(LARGEST_REPLICATES)) * len(bound.shares)
+            shown = (seeds if enough else choosing(LARGEST_REPLICATES)) * scenarios
             least = f"a rate of at least {1.0005 * rate_bounds(0, shown, bound.confidence)[1]:.4g}"  # never rounded down
             remedy = (
                 f"replicates.most of at least {enough}, or {least}"

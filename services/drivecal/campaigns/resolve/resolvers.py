@@ -126,7 +126,7 @@ def find_robust_sets(
 def check_units(specification: CampaignSpecification, scale: Scale, diagnostics: Diagnostics) -> None:
     """Adds a problem for every difference of scores that is wider than their range."""
     wanted = specification.robustness
-    given = {} if wanted is None else {"robustness.eta": wanted.eta}
+    given = {} if wanted is None or wanted.condition == "mean" else {"robustness.eta": wanted.eta}
     given |= {} if specification.reduction.tolerance is None else {"reduction.tolerance": specification.reduction.tolerance}
     for field, value in given.items():
         if value > scale.span:

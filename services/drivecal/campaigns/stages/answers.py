@@ -32,26 +32,33 @@ class SearchAnswers(ABC):
         self.ranking = Ranking(problem.weights, problem.goals, wanted)
         self.variants = {name: Ranking(goals.objectives[0].shares, goals, wanted) for name, goals in problem.variants.items()}
         """Rankings for each variant alone."""
-        self._before = self._best_of_variants()
+        budget = None if problem.optimization is None else problem.optimization.budget
+        self._follows_front = len(self._goals.objectives) > 1 and budget is not None and budget.stagnation is not None
+        self._before = self._standing()
 
     def add(self, answers: Sequence[CellScore]) -> None:
         """Ranks answers."""
         for ranking in (self.ranking, *self.variants.values()):
             ranking.add(answers)
 
-    def has_better_variant(self) -> bool:
-        """Returns whether the answers that were read last give a variant a better set."""
-        return any(map(gt, self._best_of_variants(), self._before))
+    def has_better_set(self) -> bool:
+        """Returns whether the answers that were read last give a variant a better set, or the front of several objectives a new one."""
+        (bests, front), (before, known) = self._standing(), self._before
+        return any(map(gt, bests, before)) or not front <= known
 
-    def _best_of_variants(self) -> list[tuple[float, float]]:
+    def _standing(self) -> tuple[list[tuple[float, float]], set[int]]:
         bests = [ranking.best() for ranking in self.variants.values()]
-        return [(-np.inf, 0.0) if best is None else (-best[0].violation, best[0].sign * best[0].objective) for best in bests]
+        front = self.ranking.front() if self._follows_front else []
+        return (
+            [(-np.inf, 0.0) if best is None else (-best[0].violation, best[0].sign * best[0].objective) for best in bests],
+            {member.solution.parameter_set for member in front},
+        )
 
     def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
         """Reads the answers of iterations."""
         if not iterations:
             return
-        self._before = self._best_of_variants()
+        self._before = self._standing()
         only = next(iter(iterations)) if len(iterations) == 1 else None
         taken = [answer for answer in self.read(connection, campaign, only) if answer.iteration in iterations]
         for answer in taken:

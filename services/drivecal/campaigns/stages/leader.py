@@ -63,6 +63,8 @@ class Leader:
                 **self._ranking.uncertainty(solution),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)
+            if before is not None and self.best.parameters != before.parameters:
+                changed |= not same(solution.violation, before.violation)
             gain = 0.0 if before is None else solution.sign * (self.best.objective - before.objective)
             # the first set that keeps all constraints may be worse than the last that does not
             if before is None or (changed and (gain > 0 or goals.bounds)):

@@ -101,7 +101,7 @@ class Replication:
         table count as in the search, so that the same campaign again asks for the same cells."""
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
-            most, shown = self._problem.specification.replicates.most, self._problem.goals.fewest_seeds
+            most, shown = self._problem.specification.replicates.most, self._problem.fewest_seeds
             fewest = replicates.fewest(len(self._problem.scenarios), most, shown, self._problem.scenarios_of_variants)
             kept = max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT)))
             return kept + len(self._problem.baseline_seeds) * len(self._problem.scenarios) - after

@@ -224,7 +224,7 @@ class SearchStage(Stage):
             objectives = self._answers.objectives(number)
             with self._view.reuse_time.counted():
                 self._error_rate = check_reuse(connection, self._view, number, self._problem.scenarios, self._error_rate)
-            is_better = self._leader.describe(connection) or self._answers.has_better_variant()
+            is_better = self._leader.describe(connection) or self._answers.has_better_set()
             cells, carried_over = (
                 evaluations.counts(connection, sequence, self.name, number),
                 asked.unchanged * len(self._problem.scenarios),
