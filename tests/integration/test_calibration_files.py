@@ -1,16 +1,13 @@
-"""Chosen sets as files for calibration tools, and campaigns as MLflow's file store: what MLflow reads, without MLflow."""
+"""Chosen sets as files for calibration tools."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from sqlalchemy import update
 from tests.integration.test_objectives import TWO, backend
-from tests.support.command import command
-from tests.support.runs import SMALL, run, run_posted, submit
+from tests.support.runs import SMALL, run_posted
 from tests.support.server import RunningApi, serving
 from tests.support.several import SEARCH, installed
 
@@ -104,26 +101,3 @@ def test_a_set_is_a_file_for_calibration_tools_in_the_ranking_that_was_asked_for
             client.calibration_file(ended.plain, "cdfx", front=1, score="x")
         with pytest.raises(NotFoundError):
             client.calibration_file("0" * 32, "dcm")
-
-
-def test_a_campaign_is_an_experiment_and_each_ranked_set_a_run_below_it(tmp_path: Path) -> None:
-    url = f"sqlite:///{tmp_path / 'drivecal.db'}"
-    with serving(url) as api:
-        campaign = run(api.database, submit(api.database, optimizer={"kind": "random", "population": 6, "iterations": 1}))
-        told = command("export", campaign.id, "--to", "mlflow", "-o", str(tmp_path / "mlruns"), "--url", api.url)
-        assert told.exit_code == 0, told.output
-        again = command("export", campaign.id, "--to", "mlflow", "-o", str(tmp_path / "mlruns"), "--url", api.url)
-        assert again.exit_code == 0
-    [experiment] = (tmp_path / "mlruns").iterdir()
-    assert yaml.safe_load((experiment / "meta.yaml").read_text())["experiment_id"] == experiment.name
-    runs = {path.parent.name: yaml.safe_load(path.read_text()) for path in experiment.glob("*/meta.yaml")}
-    parents = [name for name in runs if not (experiment / name / "tags" / "mlflow.parentRunId").exists()]
-    assert len(parents) == 1
-    assert len(runs) > 5
-    for name, meta in runs.items():
-        assert (meta["run_id"], meta["status"], meta["lifecycle_stage"]) == (name, 3, "active")
-        if name not in parents:
-            assert (experiment / name / "tags" / "mlflow.parentRunId").read_text() == parents[0]
-            moment, value, step = (experiment / name / "metrics" / "objective").read_text().split()
-            assert (int(moment) > 0, float(value) >= 0, step) == (True, True, "0")
-            assert {path.name for path in (experiment / name / "params").iterdir()} >= {"P1", "P11"}

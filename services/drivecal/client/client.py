@@ -154,8 +154,7 @@ class Client(Transport):
     def campaign_unless(self, identifier: str, etag: str) -> tuple[Campaign | None, str, float | None]:
         """Returns the campaign, None if its ETag is still `etag`; its ETag; the seconds to wait before the next request."""
         place, headers = ("campaigns", identifier), {"If-None-Match": etag} if etag else {}
-        ask = self._once if etag else self._request  # later, `Following` has a patience of its own
-        response = ask("GET", place, headers=headers)
+        response = self._request("GET", place, headers=headers, again=not etag)  # later, `Following` has a patience of its own
         raise_for(response, *named(place))
         wait = float(response.headers["retry-after"]) if "retry-after" in response.headers else None
         if response.status_code == HTTPStatus.NOT_MODIFIED:

@@ -202,30 +202,50 @@ class Transport:
     ) -> Answer:
         headers = {"Idempotency-Key": key} if key else {}
         # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
-        ask = self._once if document is not None and not key and not query else self._request
+        again = document is None or bool(key or query)
         content = None if document is None else plain(document)
-        return self._answer(ask("POST", place, query=query, headers=headers, document=content), model, place)
+        return self._answer(self._request("POST", place, query, headers, content, again=again), model, place)
 
-    def _request(self, method: str, place: Sequence[str], **content: Any) -> httpx.Response:
-        """Repeats a call that is safe to repeat while the server asks for it, breaks off or starts again, for up to PATIENCE_SECONDS."""
-        waited, answering, broken = 0.0, 0.0, 0
+    def _request(
+        self,
+        method: str,
+        place: Sequence[str],
+        query: Mapping[str, Any] | None = None,
+        headers: Mapping[str, str] | None = None,
+        document: Mapping[str, Any] | None = None,
+        content: bytes | None = None,
+        *,
+        again: bool = True,
+    ) -> httpx.Response:
+        """Returns the answer to a call. With `again` it is safe to repeat, which is done while the server asks for it, breaks off or starts
+        again, for up to PATIENCE_SECONDS. Without, only a connection that was never made is tried again, so that nothing is done twice."""
+        params, path = query_of(query or {}), path_of(place)
+        waited, answering, broken, refused = 0.0, 0.0, 0, 0
         while True:
             began = time.monotonic()
             try:
-                response = self._once(method, place, **content)
-            except UnavailableError as error:
-                lost = isinstance(error.__cause__, LOST)
-                broken += lost
-                starts = (broken > 0 or self._answered) and isinstance(error.__cause__, httpx.ConnectError)
-                if not (lost or starts) or broken > BROKEN_ANSWERS or waited >= PATIENCE_SECONDS:
-                    if broken and "Idempotency-Key" in (content.get("headers") or {}):
-                        message = f"{error}; it may be queued all the same: see `drivecal list` before you submit it again"
+                response = self._http.request(method, path, params=params, headers=headers, json=document, content=content)
+            except (httpx.RequestError, httpx.InvalidURL) as error:
+                is_lost, is_refused = isinstance(error, LOST), isinstance(error, httpx.ConnectError)
+                broken, refused = broken + is_lost, refused + is_refused
+                starts = is_refused and (broken > 0 or self._answered)
+                if is_refused and refused < ATTEMPTS_TO_CONNECT:
+                    pause = SECONDS_TO_CONNECT * (refused - 1)
+                elif again and (is_lost or starts) and broken <= BROKEN_ANSWERS and waited < PATIENCE_SECONDS:
+                    pause = SECONDS_TO_RESTART
+                else:
+                    gone = unreachable(self.url, error)
+                    if broken and again and "Idempotency-Key" in (headers or {}):
+                        message = f"{gone}; it may be queued all the same: see `drivecal list` before you submit it again"
                         raise UnavailableError(message) from error
-                    raise
-                pause = SECONDS_TO_RESTART
+                    raise gone from error
+            except ValueError as error:
+                check_plain(document)
+                raise InvalidInputError(Problem("", str(error), "give finite numbers, and valid Unicode text")) from error
             else:
+                self._answered = True
                 answering += time.monotonic() - began  # a proxy that gives up does so after a minute, each time
-                asked = _pause(response)
+                asked = _pause(response) if again else None
                 if asked is None or max(waited + asked, answering) > PATIENCE_SECONDS:
                     return response
                 pause = asked
@@ -253,32 +273,6 @@ class Transport:
                 raise unreachable(self.url, error) from error
             time.sleep(asked)
             waited += asked
-
-    def _once(
-        self,
-        method: str,
-        place: Sequence[str],
-        query: Mapping[str, Any] | None = None,
-        headers: Mapping[str, str] | None = None,
-        document: Mapping[str, Any] | None = None,
-        content: bytes | None = None,
-    ) -> httpx.Response:
-        params, path, attempt = query_of(query or {}), path_of(place), 0
-        while True:
-            try:
-                response = self._http.request(method, path, params=params, headers=headers, json=document, content=content)
-            except (httpx.RequestError, httpx.InvalidURL) as error:
-                attempt += 1
-                # Only a connection that was never made is tried again here, so that nothing is ever done twice.
-                if attempt == ATTEMPTS_TO_CONNECT or not isinstance(error, httpx.ConnectError):
-                    raise unreachable(self.url, error) from error
-            except ValueError as error:
-                check_plain(document)
-                raise InvalidInputError(Problem("", str(error), "give finite numbers, and valid Unicode text")) from error
-            else:
-                self._answered = True
-                return response
-            time.sleep(SECONDS_TO_CONNECT * (attempt - 1))
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
         raise_for(response, *named(place))

@@ -236,11 +236,3 @@ def test_a_pipe_gets_the_file_as_it_is() -> None:
     _print(iter([ENCODED]), stream)
     stream.seek(0)
     assert stream.buffer.read() == ENCODED
-
-
-@pytest.mark.parametrize("option", ["--table=front", "--format=csv", "--row=1", "--where=score>=1", "--score=ease", "--json"])
-def test_options_that_mlflow_would_ignore_are_refused_by_name(option: str) -> None:
-    given = ["export", "id", "--to", "mlflow", "-o", "runs", "--url", "http://127.0.0.1:9"]
-    refused = CliRunner().invoke(app, [*given, option])
-    assert refused.exit_code == 2
-    assert option.partition("=")[0] in refused.output

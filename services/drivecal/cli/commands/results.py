@@ -21,7 +21,6 @@ from drivecal.cli.commands.problem import NamesOption
 from drivecal.cli.views.output import Asked, asking, print_importance, print_ranked, print_solutions
 from drivecal.cli.views.sections import front_blocks, shown_of_front
 from drivecal.client.client import Client
-from drivecal.client.mlflow import write_runs
 from drivecal.client.transport import harmless_text
 from drivecal.configuration.documents import read_document
 from drivecal.contracts.assignments import assignments
@@ -106,7 +105,6 @@ def front(
 
 @app.command()
 def export(
-    context: typer.Context,
     identifier: CampaignArgument,
     given_table: Annotated[
         TableName | None,
@@ -120,10 +118,6 @@ def export(
         typer.Option("--format", help=f"One of {', '.join(get_args(Format))}; by default the file's ending, or csv."),
     ] = None,
     output: Annotated[str, typer.Option("--output", "-o", metavar="FILE", help="Where to; - is standard output.")] = "-",
-    to: Annotated[
-        Literal["mlflow"] | None,
-        typer.Option(help="Write the campaign and its best 1,000 sets into MLflow's file store, the folder -o (mlruns)."),
-    ] = None,
     row: Annotated[
         int | None,
         typer.Option(min=1, max=1000, metavar="N", help="One set for calibration tools: rank N of the solutions or front."),
@@ -151,13 +145,6 @@ def export(
 ) -> None:
     """Write a whole table of a campaign to a file, or its best set as a calibration file (dcm, cdfx, yaml, or
     csv and json with --row)."""
-    if to == "mlflow":
-        _refuse_beside_mlflow(context)
-        folder = Path("mlruns" if output == "-" else output)
-        with connect(url) as client, file_faults(folder, "written", "give another folder"):
-            number = write_runs(client, identifier, folder)
-        say(f"{folder}: {number:,} runs; show them by: MLFLOW_ALLOW_FILE_STORE=true mlflow ui --backend-store-uri {folder}")
-        return
     if as_json and form not in {None, "json"}:
         raise typer.BadParameter(f"--json is --format json, not {form}")
     form = "json" if as_json else form or _format_of(output if output != "-" or base is None else base.name)
@@ -191,14 +178,6 @@ def export(
             for piece in pieces:
                 size += stream.write(piece)
     say(f"{output}: {size:,} bytes")
-
-
-def _refuse_beside_mlflow(context: typer.Context) -> None:
-    """Raises BadParameter for options that choose rows or a format: MLflow gets the campaign and its best sets."""
-    sources = {each.opts[0]: context.get_parameter_source(each.name or "") for each in context.command.params}
-    given = [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
-    if ignored := [name for name in given if name.startswith("-") and name not in {"--to", "--output", "--url"}]:
-        raise typer.BadParameter(f"--to mlflow has no {', '.join(ignored)}: leave it out")
 
 
 def _format_of(output: str) -> Format:
