@@ -117,7 +117,7 @@ def test_overviews_answer_two_questions_or_lead_with_what_a_study_found(shown: S
     page.goto(f"{shown.api.url}/#/campaigns/{shown.study.id}")
     expect(page.get_by_role("heading", name="A robustness study")).to_be_visible()
     expect(page.get_by_role("link", name="test", exact=True)).to_have_attribute("href", f"#/campaigns/{shown.campaign.id}")
-    expect(page.get_by_role("table", name="Robustness by set").get_by_role("row", name="set 1")).to_be_visible()
+    expect(page.get_by_role("table", name="Robustness by set").get_by_role("row", name="place 1")).to_be_visible()
     expect(page.get_by_text("Best objective", exact=True)).to_have_count(0)
 
 

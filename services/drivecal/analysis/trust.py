@@ -223,7 +223,7 @@ def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> 
     else:
         yield verdict("scores_simulated", "green", subject="the chosen set")
     if chosen.violation < chosen.baseline_violation and not chosen.undecided:
-        yield verdict("baseline_breaks_more", "green", subject="the chosen set")
+        yield verdict("baseline_breaks_more", "amber" if chosen.violation > 0 else "green", subject="the chosen set")
     elif chosen.compared:
         counted = [each.gain for each in chosen.compared if not each.is_alike]
         light: Light | Literal["neutral"] = "amber"
@@ -262,12 +262,11 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         yield verdict("front_copied", "amber", copied=front.copied, size=front.size)
     else:
         yield verdict("scores_simulated", "green", subject="the sets of the front")
-    if (
-        campaign.baseline is not None
-        and not (campaign.baseline.undecided or campaign.best.undecided)
-        and campaign.best.violation < campaign.baseline.violation
-    ):
-        yield verdict("baseline_breaks_more", "green", subject="the sets of the front")
+    best, before = campaign.best, campaign.baseline
+    if before is not None and not (before.undecided or best.undecided) and best.violation < before.violation:
+        yield verdict(
+            "baseline_breaks_more", "amber" if campaign.best.violation > 0 else "green", subject="the sets of the front"
+        )
     elif front.dominating and front.is_close:
         yield verdict("front_close_to_baseline", "neutral", dominating=front.dominating, size=front.size)
     elif front.dominating:
@@ -347,7 +346,7 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     is_mean = campaign.baseline.gain is not None and campaign.objective is None  # of a quantile few failures may cost nothing
     unseen = most if known.has_failures and fewest == 0 and is_mean else 0.0
     if campaign.best.violation < campaign.baseline.violation and not undecided:
-        yield verdict("baseline_breaks_more", "green", subject="the best set")
+        yield verdict("baseline_breaks_more", "amber" if campaign.best.violation > 0 else "green", subject="the best set")
     elif campaign.baseline.close:
         gained = f": a gain of {gain:.4g}{under}" if under else ""
         yield verdict("baseline_in_interval", "neutral", gained=gained)
@@ -472,18 +471,15 @@ def _is_the_highest(campaign: Campaign) -> bool:
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
     uses_map = _setting(campaign, "mode") in {"influence", "both"}
     compared = [(study, row) for study, row in rows if row.compared and row.error_rate is not None] if uses_map else []
-    inspected = _is_inspected(campaign)
+    used, inspected = campaign.cells.reused > 0, _is_inspected(campaign)
     limit = _setting(campaign, "max_error") if inspected else _DEFAULT.max_error
-    then = (
-        "Lots keep most wrong answers out; the search may still have missed better sets."
-        if inspected
-        else "Nothing inspected them."
-    )
-    wrong_in: dict[tuple[Light, str], dict[str, float]] = {}
+    kept = "Lots keep most wrong answers out; the search may still have missed better sets."
+    then = "It answered no cell." if not used else kept if inspected else "Nothing inspected them."
+    wrong_in: dict[tuple[Light | Literal["neutral"], str], dict[str, float]] = {}
     for study, row in compared:
         rate, lower = row.error_rate or 0.0, row.lower_95 or 0.0
         if rate > limit:
-            light: Light = "red" if lower > limit and not inspected else "amber"
+            light: Light | Literal["neutral"] = "neutral" if not used else "red" if lower > limit and not inspected else "amber"
             wrong_in.setdefault((light, study), {})[row.scenario] = rate
     for (light, study), rates in wrong_in.items():
         yield verdict("map_wrong", light, _only(rates), rates=rates, study=study, then=then)
@@ -507,7 +503,7 @@ def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
             yield verdict("audits_wrong", light, scenario, wrong=rate.wrong, audited=rate.audited, then=then)
     differing = {name: rate.contradictions for name, rate in campaign.error_rate.items() if rate.contradictions}
     if differing:
-        yield verdict("contradictions", "amber", _only(differing), groups=differing)
+        yield verdict("contradictions", "amber" if campaign.cells.reused else "neutral", _only(differing), groups=differing)
     yield from _lots("reused", campaign.error_rate.values())
 
 
@@ -569,7 +565,9 @@ def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[
     recommended = next((row for study in driven for row in study.robustness if row.recommended), None)
     if recommended is not None:
         is_bounded = campaign.best is not None and bool(campaign.best.constraints)
-        unseen = "; its constraints were not looked at there (`drivecal check --vehicle-parameters`)" if is_bounded else ""
+        goals = {"its constraints": is_bounded, "objectives but the score": len(campaign.spec.get("objectives") or ()) > 1}
+        left_out = " and ".join(name for name, is_wanted in goals.items() if is_wanted)
+        unseen = f"; {left_out} were not looked at there (`drivecal check --vehicle-parameters`)" if left_out else ""
         light: Light | Literal["neutral"] = "neutral" if unseen else "green"
         least = "at least " if recommended.at_least else ""
         most = recommended.failing_at_most

@@ -1,5 +1,6 @@
 """The application, its common options, and its errors."""
 
+import errno
 import sys
 from enum import IntEnum
 from importlib import import_module
@@ -133,6 +134,11 @@ class Commands(TyperGroup):
                 raise
             say(f"this needs {missing}, which is not installed; type: pip install 'drivecal[{EXTRAS[missing]}]'")
             raise typer.Exit(ExitCode.USAGE) from error
+        except OSError as error:  # mostly of the output: a full disk, an end of standard input
+            if error.errno == errno.EPIPE:
+                raise
+            say(str(error))
+            raise typer.Exit(ExitCode.FAILED) from error
         except KeyboardInterrupt as error:
             say("interrupted")
             raise typer.Exit(ExitCode.INTERRUPTED) from error

@@ -142,8 +142,12 @@ def test_scenarios_with_the_same_fault_share_a_verdict() -> None:
     assert result["contradictions"].numbers["groups"] == {"S5": 3, "S6": 12}
 
 
-def test_a_wrong_map_does_not_matter_to_a_campaign_without_one() -> None:
+def test_a_wrong_map_does_not_matter_to_a_campaign_without_one_or_without_its_answers() -> None:
     assert "map_wrong" not in lights(campaign("exact"), studies=[studied(validation(0.5, 0.4))])
+    unused = campaign(cells={"reused": 0}, error_rate={"S1": ErrorRate(contradictions=3)})
+    assert {lights(unused, studies=[studied(validation(0.5, 0.4))])[code] for code in ("map_wrong", "contradictions")} == {
+        "neutral"
+    }
 
 
 def test_reuse_without_lots_is_held_against_its_audits() -> None:
@@ -235,7 +239,10 @@ def test_constraints_come_first() -> None:
         assert lights(known[0], bounded=["max of y <= 2: 1"], is_random=True)["constraints_kept"] == kept
         assert lights(known[1], is_random=True)["constraints_broken"] == broke
         assert lights(known[0], chosen=Chosen({}, violation=0.2, is_random=True))["constraints_broken"] == broke
-    assert "baseline_breaks_more" in lights(campaign(baseline=before(7.0, violation=0.1)))
+    breaking = before(7.0, violation=0.1)
+    assert lights(campaign(baseline=breaking))["baseline_breaks_more"] == "green"
+    less = BEST.model_copy(update={"violation": 0.05})
+    assert lights(campaign(best=less, baseline=breaking))["baseline_breaks_more"] == "amber"
     failing = before(4.0).model_copy(update={"scores": {"S1": 0.0, "S2": 4.0}})
     assert verdicts(campaign(baseline=failing))["baseline_fails"].numbers["scenarios"] == ["S1"]
     other = FirstObjective(name="jerk", unit="1", direction="minimise")
@@ -436,6 +443,8 @@ def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:
     assert lights(campaign(), studies=[studied(robust(3))])["robust"] == "green"
     bounded = BEST.model_copy(update={"constraints": {"max of y": 1.0}})
     assert lights(campaign(best=bounded), studies=[studied(robust(3))])["robust"] == "neutral"
+    two = campaign().spec | {"objectives": [{"score": "comfort"}, {"score": "energy"}]}
+    assert lights(campaign(spec=two), studies=[studied(robust(3))])["robust"] == "neutral"
 
 
 @pytest.mark.parametrize(

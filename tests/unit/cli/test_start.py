@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer
@@ -47,3 +48,11 @@ def test_every_command_is_listed_with_the_beginning_of_its_help() -> None:
         assert command is not None, name
         assert (command.help or "").replace("\n", " ").split()[:2] == summary.split()[:2]
     assert set(group.commands) == set(COMMANDS)
+
+
+def test_output_that_cannot_be_written_is_told_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "set.dcm").write_text("KONSERVIERUNG_FORMAT 2.0\nFESTWERT x\n WERT 1\nEND\n")
+    with Path("/dev/full").open("w") as full:
+        command = [sys.executable, "-m", "drivecal.cli", "parameters", str(tmp_path / "set.dcm")]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert (done.returncode, "Traceback" in done.stderr, "No space left" in done.stderr) == (1, False, True), done.stderr

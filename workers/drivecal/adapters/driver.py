@@ -85,4 +85,5 @@ def described(error: BaseException) -> str:
         if Path(frame.filename).parent != Path(__file__).parent and not frame.filename.startswith("<")  # a user's, not ours
     ]
     location = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-    return "".join(traceback.format_exception_only(error)).strip()[-250:] + location
+    text = "".join(traceback.format_exception_only(error)).strip()
+    return (text if len(text) <= 250 else f"{text[:120]} ... {text[-120:]}") + location

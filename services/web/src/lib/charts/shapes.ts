@@ -37,7 +37,7 @@ export function chartOf(name: string, shape: ShapeAnswer, parameters: Values, ot
   const lines: Series[] = rows.map((values, row) => ({ name: label(row), values, colour: SERIES[row % SERIES.length] ?? "" }));
   if (other !== null) rowsOf(shape, other).forEach((values, row) => lines.push({ name: isMap ? `${beside}, ${label(row)}` : beside, values, colour: "#7f7f7f", dash: "6 4", ...(isMap ? { group: beside } : {}) }));
   const good = shape.good;
-  if (good !== null) {
+  if (good !== null && good.sets > 1) {
     const group = `range of ${good.sets} good sets`;
     for (const [end, ends] of [["lowest", good.lower], ["highest", good.upper]] as const) (isMap ? (ends as number[][]) : [ends as number[]]).forEach((values, row) => lines.push({ name: `${end} of ${good.sets} good sets${isMap ? `, ${label(row)}` : ""}`, values, colour: isMap ? (SERIES[row % SERIES.length] ?? "") : "#009e73", dash: "2 3", group }));
   }

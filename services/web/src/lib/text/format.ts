@@ -6,8 +6,8 @@ export function count(value: number): string {
   return grouped.format(value);
 }
 
-/** Smaller numbers than the ninth decimal are what rounding leaves: parameters have no more of them. */
-const NOTHING = 1e-9;
+/** Smaller numbers are what rounding leaves of numbers around 1. */
+const NOTHING = 1e-14;
 
 /** A number with as many decimals as it needs, at most `digits`; small ones keep as many digits instead, that none becomes 0. */
 export function number(value: number | string | null | undefined, digits = 3): string {
