@@ -1,7 +1,8 @@
 """Pydantic's errors as drivecal's problems: the field as the user wrote it, its fault and remedy."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
+from itertools import pairwise
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -98,7 +99,7 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
     for path, detail in located:
         if detail["type"] not in _WANTED:
             if detail["type"] == "extra_forbidden":
-                remedy = nearest(str(path[-1]), _known(model, path[:-1]))
+                remedy = nearest(str(path[-1]), _known(model, detail["loc"][:-1]))
                 merged.append(Problem(field_name(path), "there is no such field", remedy))
             else:
                 merged.append(problem(field_name(path), detail))
@@ -143,18 +144,23 @@ def problem(field: str, detail: Detail) -> Problem:
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Returns the fields of the model at a path, in which the `kind` of a union's member may follow a field."""
     current = model
-    for part in path:
+    for part, kind in pairwise([*path, ""]):
         if isinstance(part, str) and part in current.model_fields:
-            current = _inner_model(current.model_fields[part].annotation) or current
+            inner = list(_inner_models(current.model_fields[part].annotation))
+            fitting = (
+                each for each in inner if "kind" in each.model_fields and kind in get_args(each.model_fields["kind"].annotation)
+            )
+            current = next(fitting, inner[0] if inner else current)
     return list(current.model_fields)
 
 
-def _inner_model(annotation: Any) -> type[BaseModel] | None:
+def _inner_models(annotation: Any) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    inner: Callable[[Any], type[BaseModel] | None] = _inner_model
-    return next((model for model in map(inner, get_args(annotation)) if model is not None), None)
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _inner_models(argument)
 
 
 def nearest(name: str, known: Sequence[str]) -> str:

@@ -79,6 +79,13 @@ def test_a_misspelt_section_is_not_missing_too(section: str, slip: str) -> None:
     assert faults(given) == {slip}
 
 
+@pytest.mark.parametrize("simulator", [PYTHON, FMU], ids=lambda section: section["kind"])
+def test_a_misspelt_field_of_the_simulator_is_compared_with_those_of_its_kind(simulator: dict[str, Any]) -> None:
+    meant = {"python": "function", "fmu": "duration"}[simulator["kind"]]
+    refusal = faults_of(checked, document(simulator=simulator | {f"{meant}s": 1}), FILES)
+    assert [problem.remedy for problem in refusal if problem.field == f"simulator.{meant}s"] == [f"did you mean {meant}?"]
+
+
 changed = partial(with_change, VALID)
 
 
