@@ -65,11 +65,6 @@ export function baseOf(scenario: string): string {
   return scenario.split("@")[0] ?? scenario;
 }
 
-/** Weights by scenarios of the problem, as specifications have them: S1@eu has that of S1, and its own only if there is no S1. */
-export function ofProblem(weights: Readonly<Record<string, number>>): Record<string, number> {
-  return Object.fromEntries(Object.entries(weights).map(([name, weight]) => [baseOf(name), weights[baseOf(name)] ?? weight]));
-}
-
 /** Weights with one more or less of one objective, the others in their proportions. */
 export function moved(weights: readonly number[], which: number, by: number): number[] {
   const parts = normalised(weights);

@@ -63,8 +63,8 @@ export class CampaignState {
   private take(event: CampaignEvent): void {
     if (event.id !== null && this.events.some((known) => known.id === event.id)) return;
     this.events = [...this.events, event].slice(-MOST_EVENTS);
-    if (event.kind === "degraded" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: String(event.data["reason"] ?? "degraded") };
-    if (event.kind === "recovered" && this.campaign !== null) this.campaign = { ...this.campaign, degraded: null };
+    // the end of a campaign has no event of its recovery
+    if (this.campaign?.ended_at === null && ["degraded", "recovered"].includes(event.kind)) this.campaign = { ...this.campaign, degraded: event.kind === "degraded" ? String(event.data["reason"] ?? "degraded") : null };
     if (TELLING.has(event.kind)) this.soon(APART_MILLISECONDS);
   }
 

@@ -46,7 +46,7 @@ export class Run {
     if (Object.keys(this.problem.series).length === 0 && !replays(this.problem)) {
       this.untraced = "The problem declares no time series: its results are the measures.";
     } else if (this.reported === null && outcome !== null) {
-      this.waiting = SIMULATING;
+      [this.waiting, this.untraced] = [SIMULATING, ""];
       try {
         await this.simulate(isDriven(this.problem), signal);
         this.waiting = "";

@@ -13,7 +13,7 @@ const NOTHING = 1e-14;
 export function number(value: number | string | null | undefined, digits = 3): string {
   if (typeof value === "string") return value;
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
-  if (Number.isInteger(value)) return Math.abs(value) >= 10_000 ? grouped.format(value) : String(value);
+  if (Number.isInteger(value) && Math.abs(value) < 1e15) return Math.abs(value) >= 10_000 ? grouped.format(value) : String(value);
   const small = Math.abs(value) < 10 ** (1 - digits) && Math.abs(value) >= NOTHING;
   return String(Number(small ? value.toPrecision(Math.max(1, digits - 1)) : value.toFixed(digits)));
 }

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { leading, moved, normalised, ofProblem, shares, sums, weightsOf, weightsText } from "$lib/front/weights";
+import { leading, moved, normalised, shares, sums, weightsOf, weightsText } from "$lib/front/weights";
 import WINNERS from "./winners.json";
 
 const GOALS = [{ name: "comfort" }, { name: "jerk" }];
@@ -23,8 +23,4 @@ test("one weight moves, and the others keep their proportions", () => {
   expect(moved([1, 0, 0], 0, -0.5)).toEqual([0.5, 0.25, 0.25]);
   expect(moved([0.5, 0.5], 1, 2)).toEqual([0, 1]);
   expect(normalised([0, 0])).toEqual([0.5, 0.5]);
-});
-
-test("a scenario in the vehicle of a variant does not change the weight of the problem's scenario", () => {
-  expect(ofProblem({ S1: 3, "S1@eu": 1, "S2@eu": 2 })).toEqual({ S1: 3, S2: 2 });
 });

@@ -46,6 +46,9 @@ test("a set is not called better if its runs leave that open", () => {
   expect(better(sure, ended("old", HOUR, 5, { lower: 4.5, upper: 5.5 }))).toEqual(["new"]);
   expect(better(sure, ended("old", HOUR, 5, { lower: 4.3, upper: 5.7 }))).toEqual([]);
   expect(better({ ...sure, baseline: { objective: 4, scores: {}, close: true } } as unknown as Campaign)).toEqual([]);
+  const several = { ...sure, best: { ...sure.best, replicates: 4 } };
+  const beside = (gain: number | null): string[] => better({ ...several, baseline: { objective: 4, scores: {}, close: false, gain } } as unknown as Campaign);
+  expect([beside(2), beside(null)]).toEqual([["new"], []]); // without equal seeds nothing compares them
 });
 
 test("a visit goes on until an hour out of sight, and begins at the last sight", () => {
