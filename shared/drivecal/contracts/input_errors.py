@@ -144,7 +144,7 @@ def problem(field: str, detail: Detail) -> Problem:
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """Returns the fields of the model at a path, in which the `kind` of a union's member may follow a field."""
+    """Returns the fields of the model at a path. Behind the field of a union, a path may name the `kind` of its member."""
     current = model
     for part, kind in pairwise([*path, ""]):
         if isinstance(part, str) and part in current.model_fields:

@@ -220,7 +220,12 @@ def _half_width(cell: EvaluatedCell, before: EvaluatedCell) -> float:
 @asking
 def check(
     client: Client,
-    chosen: Annotated[str, typer.Argument(metavar="SET", help="A JSON, YAML, DCM or CDFX file, or ID#RANK of a campaign.")],
+    chosen: Annotated[
+        str,
+        typer.Argument(
+            metavar="SET", help="A JSON, YAML, DCM or CDFX file, or ID#RANK of a campaign, on its front if it has one."
+        ),
+    ],
     problem: Annotated[str | None, typer.Option(help="The problem; by default the campaign's, or highway.")] = None,
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
     baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
