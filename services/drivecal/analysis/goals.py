@@ -393,7 +393,7 @@ _GOALS = TypeAdapter(Goals)
 def normalised(weights: Mapping[str, float]) -> dict[str, float]:
     """Returns the positive weights with a sum of 1."""
     total = sum(weights.values())
-    return {name: share for name, weight in weights.items() if (share := weight / total) > 0}
+    return {name: share for name, weight in weights.items() if weight > 0 and (share := weight / total) > 0}
 
 
 def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:

@@ -264,9 +264,7 @@ def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
         yield verdict("scores_simulated", "green", subject="the sets of the front")
     best, before = campaign.best, campaign.baseline
     if before is not None and not (before.undecided or best.undecided) and best.violation < before.violation:
-        yield verdict(
-            "baseline_breaks_more", "amber" if campaign.best.violation > 0 else "green", subject="the sets of the front"
-        )
+        yield verdict("baseline_breaks_more", "amber" if best.violation > 0 else "green", subject="the sets of the front")
     elif front.dominating and front.is_close:
         yield verdict("front_close_to_baseline", "neutral", dominating=front.dominating, size=front.size)
     elif front.dominating:
@@ -565,7 +563,7 @@ def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[
     recommended = next((row for study in driven for row in study.robustness if row.recommended), None)
     if recommended is not None:
         is_bounded = campaign.best is not None and bool(campaign.best.constraints)
-        goals = {"its constraints": is_bounded, "objectives but the score": len(campaign.spec.get("objectives") or ()) > 1}
+        goals = {"its constraints": is_bounded, "further objectives": len(campaign.spec.get("objectives") or ()) > 1}
         left_out = " and ".join(name for name, is_wanted in goals.items() if is_wanted)
         unseen = f"; {left_out} were not looked at there (`drivecal check --vehicle-parameters`)" if left_out else ""
         light: Light | Literal["neutral"] = "neutral" if unseen else "green"

@@ -263,8 +263,13 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
     for name in ("evaluator", "problem"):
         if getattr(changes, name) is not None:
             document[name] = getattr(changes, name)
-    unasked = ReductionSpecification().mode
-    if changes.evaluator is not None and document["reduction"].get("mode") == unasked:
+    is_default = document["reduction"].get("mode") == ReductionSpecification().mode and document["sensitivity"] is None
+    if (
+        changes.evaluator is not None
+        and is_default
+        and (changes.reduction is None or "mode" not in changes.reduction.model_fields_set)
+    ):
+        # the mode is a default, which objectives may forbid now: they keep the scores that they name
         document["reduction"] = {name: value for name, value in document["reduction"].items() if name != "mode"}
     if used is not None:
         document["sensitivity"] = {"map": used.id}

@@ -134,7 +134,7 @@ class Commands(TyperGroup):
                 raise
             say(f"this needs {missing}, which is not installed; type: pip install 'drivecal[{EXTRAS[missing]}]'")
             raise typer.Exit(ExitCode.USAGE) from error
-        except OSError as error:  # mostly of the output: a full disk, an end of standard input
+        except OSError as error:  # mostly of the output, on a full disk
             if error.errno == errno.EPIPE:
                 raise
             say(str(error))

@@ -6,13 +6,14 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from drivecal.contracts import strict_json
 from drivecal.contracts.assignments import finite_number, settings
 from drivecal.contracts.inventory import ProblemAnswer
-from drivecal.domain.errors import InvalidInputError, Problem, file_faults
+from drivecal.domain.errors import InvalidInputError, Problem, file_faults, restated
 
 HEADER = re.compile(r"(?P<name>[^\[]*?)\s*(?:\[(?P<unit>[^\]]*)\])?\s*")
 """A column's name, with its unit in brackets: `gap [m]`."""
@@ -76,7 +77,8 @@ def _lines(path: Path) -> list[dict[str, Any]]:
             if twice := [name for name, columns in Counter(reader.fieldnames).items() if columns > 1]:
                 raise InvalidInputError(Problem(str(path), f"two columns have the name {twice[0]!r}", "leave one of them out"))
             return list(reader)
-        document = json.loads(text, object_pairs_hook=strict_json.unique_keys)
+        with restated(lambda fault: replace(fault, field=f"{path}, {fault.field}")):
+            document = json.loads(text, object_pairs_hook=strict_json.unique_keys)
     if not isinstance(document, list) or not all(isinstance(line, dict) for line in document):
         raise InvalidInputError(Problem(str(path), "it is no list of objects", "write an object for each set and scenario"))
     return document

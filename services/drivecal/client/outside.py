@@ -130,4 +130,7 @@ def _key(parameters: Parameters) -> str:
 
 def _text(parameters: Parameters) -> str:
     """Returns a set as JSON; numbers and arrays of numpy are numbers and lists."""
-    return json.dumps({name: parameters[name] for name in sorted(parameters)}, default=lambda value: value.tolist())
+    return json.dumps(
+        {name: parameters[name] for name in sorted(parameters)},
+        default=lambda value: getattr(value, "tolist", lambda: float(value))(),
+    )

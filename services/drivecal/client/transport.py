@@ -60,7 +60,7 @@ def harmless_text(pieces: Iterable[bytes]) -> Iterator[bytes]:
 
 def unreachable(url: str, error: Exception) -> UnavailableError:
     """Returns the error of a missing answer, with the address and the remedy."""
-    reason, url = str(error) or type(error).__name__, re.sub(r"(?<=//)[^/]*@", "", url)  # without a password
+    reason, url = str(error) or type(error).__name__, _shown(url)
     if isinstance(error, httpx.ReadTimeout):
         return UnavailableError(f"the server at {url} did not answer in time; it may be busy: try again")
     if "CERTIFICATE_VERIFY" in reason:
@@ -71,6 +71,11 @@ def unreachable(url: str, error: Exception) -> UnavailableError:
     return UnavailableError(
         f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
     )
+
+
+def _shown(url: object) -> str:
+    """Returns an address without the password that it may hold."""
+    return re.sub(r"(?<=//).*@", "", str(url))
 
 
 def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
@@ -98,8 +103,8 @@ def raise_for(response: httpx.Response, kind: str, identifier: str) -> None:
     raise DrivecalError(f"the server at {_server(response)} failed: {detail}")
 
 
-def _server(response: httpx.Response) -> httpx.URL:
-    return response.url.copy_with(path="/", query=None)
+def _server(response: httpx.Response) -> str:
+    return _shown(response.url.copy_with(path="/", query=None))
 
 
 def _unknown(response: httpx.Response) -> str:
@@ -122,9 +127,11 @@ def _document(response: httpx.Response) -> dict[str, object]:
             message = f"a proxy before the server at {_server(response)} gave up after {seconds:.0f} s"
             raise UnavailableError(f"{message}; raise its read timeout, e.g. proxy_read_timeout 300s")
         if response.status_code in PROXY:
-            message = f"a proxy answers HTTP {response.status_code} in the place of the server at {response.url}"
+            message = f"a proxy answers HTTP {response.status_code} in the place of the server at {_shown(response.url)}"
             raise UnavailableError(f"{message}; it may be starting: try again")
-        raise UnavailableError(f"{response.url} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url")
+        raise UnavailableError(
+            f"{_shown(response.url)} is not drivecal (HTTP {response.status_code}); check DRIVECAL_URL or --url"
+        )
     return document
 
 
@@ -179,8 +186,8 @@ class Transport:
             if transport is None and is_this_machine(httpx.URL(self.url).host):
                 transport = httpx.HTTPTransport(verify=self.url.startswith("https:"))  # certificates take 50 ms to load
             self._http = httpx.Client(base_url=self.url, timeout=timeout, headers=headers, transport=transport)
-        except httpx.InvalidURL as error:
-            raise unreachable(self.url, error) from error
+        except httpx.InvalidURL:
+            raise unreachable(self.url, ValueError("it is no web address")) from None
         except (ImportError, ValueError) as error:  # of a proxy that httpx does not know
             remedy = "correct it in the environment, or take it away"
             raise InvalidInputError(Problem("ALL_PROXY, HTTP_PROXY or HTTPS_PROXY", str(error), remedy)) from error
@@ -282,7 +289,9 @@ class Transport:
             raise self._strange() from error
 
     def _strange(self) -> UnavailableError:
-        return UnavailableError(f"{self.url} answers in a form that this drivecal does not know; are both of one version?")
+        return UnavailableError(
+            f"{_shown(self.url)} answers in a form that this drivecal does not know; are both of one version?"
+        )
 
 
 def path_of(parts: Sequence[str]) -> str:

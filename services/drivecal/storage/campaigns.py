@@ -388,6 +388,10 @@ def set_influence_map(connection: Connection, sequence: int, influence_map_id: s
     connection.execute(_of(sequence).values(influence_map_id=influence_map_id))
 
 
+_STARTS = re.compile(r"worker-[\d.]+|process \d+")
+"""Each attempt to start a worker has numbers of its own: they are no news."""
+
+
 def degrade(connection: Connection, sequences: Collection[int], reason: str | None) -> None:
     """Stores why running campaigns are slow or stand still for now; None if they are not. Leaves campaigns alone that ended meanwhile."""
     if not sequences:
@@ -395,11 +399,11 @@ def degrade(connection: Connection, sequences: Collection[int], reason: str | No
     works = campaigns.c.state.in_([CampaignState.RUNNING, CampaignState.CANCELLING])  # checked again after a wait for the row
     changed = works & campaigns.c.sequence.in_(list(sequences)) & campaigns.c.degraded.is_distinct_from(reason)
     statement = update(campaigns).where(changed).values(degraded=reason, revision=campaigns.c.revision + 1)
-    told = dict(connection.execute(select(campaigns.c.sequence, campaigns.c.degraded).where(changed)).all())
+    before = dict(connection.execute(select(campaigns.c.sequence, campaigns.c.degraded).where(changed)).all())
     for sequence in sorted(connection.execute(statement.returning(campaigns.c.sequence)).scalars()):
         if reason is None:
             events.add(connection, sequence, EventKind.RECOVERED)
-        elif re.sub(r"\d+", "", told.get(sequence) or "") != re.sub(r"\d+", "", reason):  # each start of a worker has a number
+        elif _STARTS.sub("", before.get(sequence) or "") != _STARTS.sub("", reason):
             events.add(connection, sequence, EventKind.DEGRADED, {"reason": reason})
 
 

@@ -107,7 +107,7 @@ class Pipe:
 
 
 def is_idle(process: int) -> bool:
-    """Returns whether no thread of a process runs, or waits for a disk, or it has ended. False if the system does not say."""
+    """Returns whether a process has ended, or none of its threads runs or waits for a disk. False if the system does not say."""
     try:
         stats = [path.read_bytes() for path in Path(f"/proc/{process}/task").glob("*/stat")]
     except OSError:

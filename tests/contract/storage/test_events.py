@@ -84,13 +84,23 @@ def test_trouble_is_told_when_it_changes_and_not_with_every_look_at_it(connectio
     one, other = campaign(connection).sequence, campaign(connection).sequence
     for sequence in (one, other):
         campaigns.start(connection, sequence)
-    for reason in ("no workers", "no workers", "Ray is gone", "worker-1.2 died", "worker-1.3 died", None, None):
+    for reason in (
+        "no workers",
+        "no workers",
+        "Ray is gone",
+        "worker-1.2 died",
+        "worker-1.3 died",
+        "2 of 4 fail",
+        "4 of 4 fail",
+        None,
+        None,
+    ):
         campaigns.degrade(connection, [one, other], reason)
     for sequence in (one, other):
         told = [(event.kind, event.data) for event in events.since(connection, sequence, 0, MANY)[2:]]
         reasons = [data["reason"] for kind, data in told if kind == "degraded"]
-        assert reasons == ["no workers", "Ray is gone", "worker-1.2 died"], "the next start of a worker is no news"
-        assert [kind for kind, _ in told][3:] == ["recovered"]
+        assert reasons == ["no workers", "Ray is gone", "worker-1.2 died", "2 of 4 fail", "4 of 4 fail"], "one for all starts"
+        assert [kind for kind, _ in told][5:] == ["recovered"]
 
 
 def test_old_events_are_forgotten_in_portions_but_the_last_of_each_campaign_stays(connection: Connection) -> None:

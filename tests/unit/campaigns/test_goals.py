@@ -99,5 +99,6 @@ def test_faults_of_variants_name_the_field() -> None:
     us: dict[str, Any] = {"weights": {"S9": 1.0}, "vehicle": {"parameters": {"mas": 1.0}}}
     given: dict[str, Any] = {"objectives": [{"score": "comfort", "scenarios": ["S1"]}], "robustness": {}}
     wrong = {"variants.us.vehicle.parameters.mas", "variants.eu.scenarios[1]", "variants.us.weights.S9"}
+    assert fields(variants={"eu": {"scenarios": ["S9"]}}) == ["variants.eu.scenarios[0]"]
     variants = {"eu": {"scenarios": ["S1", "S9"]}, "us": us}
     assert set(fields(variants=variants, **given)) == wrong | {"objectives[0]", "robustness"}

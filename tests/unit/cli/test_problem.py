@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from tests.support.command import command
 
+from drivecal.configuration.documents import located_yaml
+
 MANIFEST = """
 problem: acc
 parameters:
@@ -205,3 +207,9 @@ def test_a_range_far_from_the_measured_scores_is_told_with_their_values(write: W
     code, report = check(write(manifest=MANIFEST.replace('"10/energy"', '"energy"')))
     [doubtful] = [warning for warning in report["warnings"] if "scores.cost.range" in warning]
     assert (code, "32 to 62" in doubtful) == (0, True)
+
+
+def test_printed_sections_can_be_read_back_whatever_a_parameter_is_called(tmp_path: Path) -> None:
+    (tmp_path / "set.dcm").write_text("KONSERVIERUNG_FORMAT 2.0\nFESTWERT null\n WERT 1\nEND\n")
+    document: Any = located_yaml(command("parameters", str(tmp_path / "set.dcm")).stdout.encode())[0]
+    assert document["parameters"].keys() == document["baseline"].keys() == {"null"}

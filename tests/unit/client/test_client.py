@@ -246,9 +246,15 @@ def test_an_id_cannot_leave_its_path() -> None:
 
 
 def test_an_address_that_is_none_is_refused_without_its_password() -> None:
-    with pytest.raises(UnavailableError) as refused:
-        Client("http://me:s3cret@[::1")
-    assert "s3cret" not in str(refused.value)
+    for address in ("http://me:s3cret@[::1", "http://me:s3cret/@[::1"):
+        with pytest.raises(UnavailableError) as refused:
+            Client(address)
+        assert "s3cret" not in str(refused.value)
+    for status in (200, 401, 500, 502):
+        answers = httpx.MockTransport(lambda _, status=status: httpx.Response(status, content=problem(status)[2]))
+        with Client("http://me:s3cret@host", transport=answers) as client, pytest.raises(DrivecalError) as strange:
+            client.workers()
+        assert "s3cret" not in str(strange.value)
 
 
 def test_rows_come_from_all_pages() -> None:

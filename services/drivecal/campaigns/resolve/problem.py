@@ -91,7 +91,7 @@ def find_variants(
     listed = [scenario + suffix for scenario in weights for suffix in suffixes]
     simulated = {base_of(each) for own in shares.values() for each in own}
     if left_out := [scenario for scenario in weights if scenario not in simulated]:
-        diagnostics.notes.append(f"not simulated because no variant has them: {', '.join(left_out)}")
+        diagnostics.notes.append(f"not simulated because no variant gives them a weight: {', '.join(left_out)}")
     return Variants(shares, normalised({each: sum(own.get(each, 0.0) for own in shares.values()) for each in listed}), vehicles)
 
 

@@ -311,6 +311,8 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         return GivenSet(chosen.parameters, spec, axes, chosen.seeds)
     if variant is not None:
         raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
+    if given != "-" and not Path(given).exists():
+        raise NotFoundError("file", given, "the best set of a campaign is ID#1")
     if Path(given).suffix.lower() == ".csv":
         raise typer.BadParameter("a set is read from YAML, JSON, DCM or CDFX, not from CSV")
     if Path(given).suffix.lower() not in CALIBRATION_FILES:
@@ -510,5 +512,5 @@ def _markdown(chosen: str, checked: CheckedSet, findings: Sequence[Finding]) -> 
     for row in _rows(checked, findings):
         shown = ["" if raw is None else score_text(raw) if isinstance(raw, float | int) else str(raw) for raw in row.values()]
         lines.append(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in shown)} |")
-    lines += [f"\n{finding.limit}: {finding.broken}" for finding in findings if finding.broken]
+    lines += [f"\n{finding.scenario}: {finding.limit}: {finding.broken}" for finding in findings if finding.broken]
     return "\n".join([*lines, "", ""])

@@ -314,8 +314,11 @@ def _yaml(sections: Sections) -> Iterator[str]:
     yield "parameters:"
     for name, entry in sections.parameters.items():
         fields = ", ".join(f"{field}: {json.dumps(value, ensure_ascii=False)}" for field, value in entry.items())
-        key = f'"{name}"' if name.lower() in {"null", "true", "false"} else name
-        yield f"  {key}: {{{fields}}}"
+        yield f"  {_key(name)}: {{{fields}}}"
     if sections.baseline:
         yield "baseline:"
-        yield from (f"  {name}: {json.dumps(value, ensure_ascii=False)}" for name, value in sections.baseline.items())
+        yield from (f"  {_key(name)}: {json.dumps(value, ensure_ascii=False)}" for name, value in sections.baseline.items())
+
+
+def _key(name: str) -> str:
+    return f'"{name}"' if name.lower() in {"null", "true", "false"} else name

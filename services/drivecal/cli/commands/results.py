@@ -245,7 +245,7 @@ def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
     """Opens a file that appears under its name only when it is complete. Devices and pipes are written as they are."""
     is_special = path.exists() and not path.is_file()  # before links are followed: /dev/stdout links to nothing
     path = path if is_special else path.resolve()
-    written = path if is_special else path.with_name(f".{os.getpid()}.part")  # a name may be as long as it can be
+    written = path if is_special else path.with_name(f".{path.name[:40]}.{os.getpid()}.part")
     try:
         with file_faults(path, "written", "give another file"):
             with written.open("wb") as stream:

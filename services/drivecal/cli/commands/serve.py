@@ -93,8 +93,8 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
 
         def ready() -> None:
             with suppress(OSError):  # of a full disk or a closed pipe: the server works all the same
-                told = {"url": url, "pid": os.getpid(), "database": database.name}
-                typer.echo(json.dumps(told) if as_json else f"drivecal is ready at {url} (Ctrl-C stops it)")
+                ready_as = {"url": url, "pid": os.getpid(), "database": database.name}
+                typer.echo(json.dumps(ready_as) if as_json else f"drivecal is ready at {url} (Ctrl-C stops it)")
 
         return serving.run_server(settings, listener, url, ready)
 

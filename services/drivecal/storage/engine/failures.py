@@ -20,7 +20,7 @@ from drivecal.domain.errors import DatabaseError, DrivecalError, UnavailableErro
 _NO_DATABASE = {sqlite3.SQLITE_NOTADB: "is not an SQLite database", sqlite3.SQLITE_CORRUPT: "is a damaged SQLite database"}
 _FOR_NOW = {sqlite3.SQLITE_IOERR, sqlite3.SQLITE_FULL, sqlite3.SQLITE_PROTOCOL}
 _NOT_USABLE = {sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM}
-"""Errors that also pass: files cannot be opened while all descriptors are in use, nor written while the disk is mounted read-only."""
+"""Errors that may pass, too: files cannot be opened while all descriptors are in use, nor written while the disk is mounted read-only."""
 _NOT_NOW = (
     psycopg.errors.ReadOnlySqlTransaction,  # a server that takes over, or gives up, is read-only for a while
     psycopg.errors.IdleInTransactionSessionTimeout,

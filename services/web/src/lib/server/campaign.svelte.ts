@@ -63,7 +63,7 @@ export class CampaignState {
   private take(event: CampaignEvent): void {
     if (event.id !== null && this.events.some((known) => known.id === event.id)) return;
     this.events = [...this.events, event].slice(-MOST_EVENTS);
-    // the end of a campaign has no event of its recovery
+    // an ended campaign is not degraded, and no event says so
     if (this.campaign?.ended_at === null && ["degraded", "recovered"].includes(event.kind)) this.campaign = { ...this.campaign, degraded: event.kind === "degraded" ? String(event.data["reason"] ?? "degraded") : null };
     if (TELLING.has(event.kind)) this.soon(APART_MILLISECONDS);
   }
