@@ -90,7 +90,7 @@ def seconds_of(stored: StoredCampaign | ProgressSnapshot, now: datetime) -> Seco
 def calibration(stored: StoredCampaign, lacks: str = "") -> StoredCampaign:
     """Returns the campaign. Raises ConflictError for a single evaluation; `lacks` says what it lacks."""
     if stored.kind != "calibration":
-        raise ConflictError(f"{stored.id} is a single evaluation{lacks}; GET {ROOT}/evaluations/{stored.id}")
+        raise ConflictError(f"{stored.id} is a single evaluation{lacks}; `drivecal show {stored.id}` prints it")
     return stored
 
 

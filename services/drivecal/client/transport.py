@@ -67,7 +67,7 @@ def unreachable(url: str, error: Exception) -> UnavailableError:
         remedy = "set SSL_CERT_FILE to the file of the certificate that signed it"
         return UnavailableError(f"the certificate of {url} is not trusted ({reason}); {remedy}")
     if isinstance(error, LOST):
-        return UnavailableError(f"the connection to {url} broke ({reason}); try again")
+        return UnavailableError(f"the connection to {url} broke ({reason}); try again, or correct DRIVECAL_URL or --url")
     return UnavailableError(
         f"no drivecal server answers at {url} ({reason}); start one with `drivecal serve`, or set DRIVECAL_URL or --url"
     )
@@ -224,8 +224,8 @@ class Transport:
         *,
         again: bool = True,
     ) -> httpx.Response:
-        """Returns the answer to a call. With `again` it is safe to repeat, which is done while the server asks for it, breaks off or starts
-        again, for up to PATIENCE_SECONDS. Without, only a connection that was never made is tried again, so that nothing is done twice."""
+        """Returns the answer to a call. `again`: it may be repeated. It is, while the server asks for that, breaks off or starts again, for
+        up to PATIENCE_SECONDS. Without it only a connection that was never made is tried again, so that nothing is done twice."""
         params, path = query_of(query or {}), path_of(place)
         waited, answering, broken, refused = 0.0, 0.0, 0, 0
         while True:

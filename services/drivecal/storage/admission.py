@@ -79,7 +79,7 @@ def admit_map(connection: Connection, source: str) -> None:
     alone(connection)
     kept = connection.scalar(select(func.count()).where(influence_maps.c.source == source)) or 0
     if kept >= MOST_MAPS:
-        instead = "use one of those (GET /influence-maps)"
+        instead = "use one of those (`drivecal influence-maps list`)"
         raise TooLargeError(Problem("", f"{kept:,} posted influence maps are kept, as many as this server takes", instead))
 
 

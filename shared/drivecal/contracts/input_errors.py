@@ -63,15 +63,16 @@ def validated(model: type[Specification], document: object) -> Specification:
     except ValidationError as error:
         details = error.errors(include_url=False)[:MOST_FINDINGS]
     located = [(_path(detail, document), detail) for detail in details]
-    meant = {_meant(path, model) for path, detail in located if detail["type"] == "extra_forbidden"}
+    misspelt = ((path, _known(model, detail["loc"][:-1])) for path, detail in located if detail["type"] == "extra_forbidden")
+    meant = {_meant(path, known) for path, known in misspelt}
     located = [(path, detail) for path, detail in located if detail["type"] != "missing" or path not in meant]
     # Raised out here, without pydantic's error, which holds on to the whole document.
     raise InvalidInputError(*dict.fromkeys(_merged(located, model)))
 
 
-def _meant(path: tuple[int | str, ...], model: type[BaseModel]) -> tuple[int | str, ...] | None:
-    """Returns the path of the field that a misspelt one at `path` seems to mean: it is missing for this reason alone."""
-    close = get_close_matches(str(path[-1]), _known(model, path[:-1]), n=1)
+def _meant(path: tuple[int | str, ...], known: Sequence[str]) -> tuple[int | str, ...] | None:
+    """Returns the path of the known field that a misspelt one at `path` seems to mean: it is missing for this reason alone."""
+    close = get_close_matches(str(path[-1]), known, n=1)
     return (*path[:-1], close[0]) if close else None
 
 

@@ -79,6 +79,10 @@ def test_a_misspelt_section_is_not_missing_too(section: str, slip: str) -> None:
     assert faults(given) == {slip}
 
 
+def test_a_misspelt_field_of_a_kind_is_not_missing_too() -> None:
+    assert faults(document(simulator={"kind": "python", "fil": "model.py"})) == {"simulator.fil"}
+
+
 @pytest.mark.parametrize("simulator", [PYTHON, FMU], ids=lambda section: section["kind"])
 def test_a_misspelt_field_of_the_simulator_is_compared_with_those_of_its_kind(simulator: dict[str, Any]) -> None:
     meant = {"python": "function", "fmu": "duration"}[simulator["kind"]]

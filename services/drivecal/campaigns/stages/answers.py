@@ -43,15 +43,16 @@ class SearchAnswers(ABC):
 
     def has_better_set(self) -> bool:
         """Returns whether the answers that were read last give a variant a better set, or the front of several objectives a new one."""
-        (bests, front), (before, known) = self._standing(), self._before
-        return any(map(gt, bests, before)) or not front <= known
+        (bests, front), (before, earlier) = self._standing(), self._before
+        known = frozenset().union(*earlier)  # of sets with equal objectives another one may stand for all
+        return any(map(gt, bests, before)) or any(alike.isdisjoint(known) for alike in front)
 
-    def _standing(self) -> tuple[list[tuple[float, float]], set[int]]:
+    def _standing(self) -> tuple[list[tuple[float, float]], list[frozenset[int]]]:
         bests = [ranking.best() for ranking in self.variants.values()]
         front = self.ranking.front() if self._follows_front else []
         return (
             [(-np.inf, 0.0) if best is None else (-best[0].violation, best[0].sign * best[0].objective) for best in bests],
-            {member.solution.parameter_set for member in front},
+            [member.alike for member in front],
         )
 
     def take_in(self, connection: Connection, campaign: int, iterations: Collection[int]) -> None:
