@@ -6,8 +6,8 @@ export function count(value: number): string {
   return grouped.format(value);
 }
 
-/** Smaller numbers are what rounding leaves of numbers around 1. */
-const NOTHING = 1e-14;
+/** Smaller numbers are what rounding leaves of differences between numbers up to 1,000. */
+const NOTHING = 5e-13;
 
 /** A number with as many decimals as it needs, at most `digits`; small ones keep as many digits instead, that none becomes 0. */
 export function number(value: number | string | null | undefined, digits = 3): string {
