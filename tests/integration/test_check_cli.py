@@ -89,6 +89,11 @@ def test_a_set_is_checked_against_limits_and_baseline_in_every_scenario(checking
     )
     assert len(suite.findall("testcase/failure")) == 3
     assert summary.read_text().count("\n| S") == 6
+    assert [line.partition(":")[0] for line in summary.read_text().splitlines() if " at most " in line and line[0] == "S"] == [
+        "S4",
+        "S5",
+        "S6",
+    ]
     assert len(checking.backend.sent) == 12
     good = checking(baseline, "--limits", checking.file("few.yaml", {"limits": [{"score": "comfort", "at_least": 2}]}))
     assert good.exit_code == 0, good.output

@@ -79,6 +79,12 @@ def test_expert_sets_are_in_the_start_population_after_the_baseline(database: Da
     assert present(ended.baseline).objective is not None
 
 
+@pytest.mark.usefixtures("strict")
+def test_a_mode_that_was_asked_for_beside_a_map_stays_with_another_evaluator(database: Database) -> None:
+    first = _run(database, reduction={"mode": "predicted"})
+    assert _rerun(database, first, evaluator="strict").spec["reduction"]["mode"] == "predicted"
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("strict")
 def test_another_evaluator_rates_stored_runs_and_simulates_only_what_is_new(database: Database) -> None:
