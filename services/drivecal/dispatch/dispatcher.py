@@ -174,6 +174,7 @@ class Dispatcher:
         self._in_line: list[CampaignHeading] = []
         """Campaigns that wait to be started, or to go on, in their order."""
         self._next_look = self._next_report = self._next_tidy = 0.0
+        self._removal: Iterator[bool] = iter(())
 
     def run(self, stop: threading.Event) -> None:
         """Works until `stop` is set. Waits for a database that does not answer, and continues when it is back.
@@ -247,10 +248,12 @@ class Dispatcher:
                 campaigns.stall(connection, active.campaign.sequence, round(STALL_SECONDS / 60), reason)
             events.prune(connection, now() - EVENTS_KEPT)
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
-            more = deletion.remove_some_keys(connection)
         for active, _ in stalled:
             active.stalled = True
-        return more
+        if more := next(self._removal, False):
+            return more
+        self._removal = deletion.removal(self._database)
+        return next(self._removal, False)
 
     def _newly_stalled(self) -> list[tuple[Active, str]]:
         """Returns the campaigns whose cells have all waited for long, each with the reason; each stall once."""

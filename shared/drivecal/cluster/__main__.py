@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from drivecal.cluster.guard import start_logging
-from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, version_gap
+from drivecal.cluster.members import Node, ask, check_shared_memory, check_token
 from drivecal.cluster.settings import ALERT, OBJECT_STORE_BYTES, PORT, QUIET, VERSION_LABEL, release
 from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem, UnavailableError
 
@@ -61,21 +61,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def wait_for_head(address: str, nodes_of: Callable[[str], Sequence[Node]], pause: Callable[[float], None] = time.sleep) -> None:
-    """Waits until the head responds; logs an error if its version differs. Raises NotAuthorisedError if it rejects our token."""
+    """Waits until the head responds. Raises NotAuthorisedError if it rejects our token."""
     seconds = 1.0
     while True:
         try:
-            members = nodes_of(address)
+            nodes_of(address)
         except UnavailableError as error:
             log.warning("waiting for the head: %s", error)
             pause(seconds)
             seconds = min(2 * seconds, LONGEST_PAUSE)
         else:
-            break
-    for node in members:
-        gap = version_gap(node.version, address) if node.is_head else None
-        if gap is not None:
-            log.error("%s", gap)
+            return
 
 
 def head_command(port: int, environment: Mapping[str, str]) -> list[str]:

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, host_and_port, release
+from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, host_and_port
 from drivecal.domain.errors import ConflictError, InvalidInputError, NotAuthorisedError, Problem, UnavailableError
 
 SHORTEST_TOKEN = 16
@@ -52,27 +52,14 @@ def check_shared_memory(folder: Path = SHARED_MEMORY) -> None:
         )
 
 
-def version_gap(theirs: str | None, address: str) -> str | None:
-    """Returns a message naming both versions if the head's drivecal differs from ours; None if it is equal or unknown.
-
-    A node of another version joins but gets no work, and the coordinator reports why.
-    """
-    ours = release()
-    if theirs in {None, ours}:
-        return None
-    return (
-        f"this node has drivecal {ours} and the head at {address} has {theirs}: a coordinator of another release gives it no work;"
-        " install the same release on both"
-    )
-
-
 ANSWER_SECONDS = 5.0
 CONNECT_SECONDS = 3.0
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Node:
-    """A living node. `version`: `release()` of its installed drivecal, None if the node was not started by drivecal."""
+    """A living node. `version`: `release()` of its installed drivecal, None if the node was not started by drivecal. A coordinator of
+    another one gives it no work, and says why."""
 
     name: str
     id: str

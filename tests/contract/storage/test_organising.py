@@ -30,8 +30,8 @@ def carried_out(database: Database, **changes: Any) -> StoredCampaign:
 
 def deleted(database: Database, stored: StoredCampaign) -> None:
     with database.transaction() as connection:
-        numbers = delete_campaign(connection, stored.id)
-    deletion.remove_cells(database, numbers)
+        delete_campaign(connection, stored.id)
+    assert all(deletion.removal(database))
 
 
 def listed(connection: Connection, *tags: str) -> list[str]:
@@ -144,17 +144,20 @@ def test_a_campaign_that_others_refer_to_is_not_deleted(connection: Connection, 
     assert listed(connection) == []
 
 
-def test_an_interrupted_deletion_goes_on(database: Database) -> None:
+def test_an_interrupted_deletion_goes_on(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     with database.transaction() as connection:
         first = campaigns.insert(connection, name="first", spec={})
         setup, sets = setup_id(connection), sample_set_ids(connection, 3)
         evaluations.insert(connection, first.sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
-        assert delete_campaign(connection, first.id) == first.sequence
+        delete_campaign(connection, first.id)
         assert listed(connection) == []
-    assert cells(database, first) == 3
-    deleted(database, first)
+    monkeypatch.setattr(deletion, "SLICE", 2)
+    assert next(deletion.removal(database))
+    assert cells(database, first) == 1
+    assert all(deletion.removal(database))
     assert cells(database, first) == 0
+    assert not list(deletion.removal(database))
 
 
 def test_keys_under_a_deleted_map_are_unused_and_go_in_slices(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,13 +173,14 @@ def test_keys_under_a_deleted_map_are_unused_and_go_in_slices(database: Database
         reference_keys.sync(
             database, under, setup, EVALUATOR, 10**9, lambda _, values: [n.to_bytes(16, "big") for n in range(len(values))]
         )
-    deleted(database, first)
-    left: list[int] = []
-    more = True
-    while more:
-        with database.transaction() as connection:
-            left.append(connection.execute(select(func.count()).select_from(tables.reference_keys)).scalar_one())
-            more = deletion.remove_some_keys(connection)
+    with database.transaction() as connection:
+        delete_campaign(connection, first.id)
+
+    def keys() -> int:
+        with database.read() as connection:
+            return connection.execute(select(func.count()).select_from(tables.reference_keys)).scalar_one()
+
+    left = [keys(), *(keys() for _ in deletion.removal(database)), keys()]
     assert left[0] == 10
     assert left[-1] == 5
     assert all(before - after <= 3 for before, after in pairwise(left))

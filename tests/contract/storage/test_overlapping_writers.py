@@ -60,9 +60,9 @@ def settle(database: Database, second: Future[Any]) -> None:
     raise AssertionError("the second transaction neither ended nor waits for a lock")
 
 
-def delete(database: Database, campaign: StoredCampaign) -> int:
+def delete(database: Database, campaign: StoredCampaign) -> None:
     with database.transaction() as connection:
-        return deletion.delete_campaign(connection, campaign.id)
+        deletion.delete_campaign(connection, campaign.id)
 
 
 def rerun(database: Database, first: StoredCampaign) -> StoredCampaign:
@@ -113,7 +113,7 @@ def test_submissions_wait_for_deletion(postgres: Database, first: StoredCampaign
 def test_a_deletion_waits_for_a_submission_that_was_checked_and_is_refused(
     postgres: Database, first: StoredCampaign, beside: ThreadPoolExecutor, use: Use, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deleting: list[Future[int]] = []
+    deleting: list[Future[None]] = []
     usual = campaigns.insert
 
     def insert(*arguments: Any, **fields: Any) -> StoredCampaign:
@@ -177,7 +177,8 @@ def test_a_trace_of_a_removed_cell_is_refused(postgres: Database, first: StoredC
             settle(postgres, requested[0])
 
     event.listen(postgres._engine, "before_cursor_execute", request)
-    deletion.remove_cells(postgres, delete(postgres, first))
+    delete(postgres, first)
+    assert all(deletion.removal(postgres))
     with pytest.raises(NotFoundError):
         requested[0].result(PATIENCE)
     with postgres.read() as connection:

@@ -10,7 +10,7 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.tables import campaigns as table
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import statistics
-from drivecal.storage.maintenance.deletion import delete_campaign, remove_cells
+from drivecal.storage.maintenance.deletion import delete_campaign, removal
 from drivecal.storage.maintenance.statistics import Statistics
 
 
@@ -55,7 +55,7 @@ def test_sums_are_over_all_campaigns_and_cells_wait_in_open_ones_only(database: 
     assert result.pending.total() == 0
     with database.transaction() as connection:
         delete_campaign(connection, campaigns.by_sequence(connection, sequences[4]).id)
-    remove_cells(database, sequences[4])
+    assert all(removal(database))
     assert look(database).cells == result.cells, "counters do not fall"
     assert look(database).campaigns["calibration", "succeeded"] == 6
 

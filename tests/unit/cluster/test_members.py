@@ -7,11 +7,11 @@ from types import SimpleNamespace
 
 import pytest
 from tests.support.changes import replace_in
-from tests.support.values import faults_of, present
+from tests.support.values import faults_of
 
 from drivecal.cluster import __main__ as node
 from drivecal.cluster import members as joining
-from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, members, version_gap
+from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, members
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, VERSION_LABEL, release
 from drivecal.domain.errors import ConflictError, InvalidInputError, UnavailableError
 
@@ -55,15 +55,7 @@ def test_too_little_shared_memory_is_said_with_what_is_needed(tmp_path: Path, mo
     check_shared_memory(tmp_path)
 
 
-def test_another_version_than_the_heads_is_said_with_both() -> None:
-    ours = release()
-    gap = present(version_gap("9.9", "h:1"))
-    assert all(named in gap for named in (ours, "h:1", "9.9"))
-    assert version_gap(ours, "h:1") is None
-    assert version_gap(None, "h:1") is None
-
-
-def test_a_node_waits_for_its_head_longer_and_longer_and_then_compares_versions(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_node_waits_for_its_head_longer_and_longer() -> None:
     answers: list[Sequence[Node] | None] = [None, None, None, None, None, None, [HEAD]]
     pauses: list[float] = []
 
@@ -75,9 +67,6 @@ def test_a_node_waits_for_its_head_longer_and_longer_and_then_compares_versions(
 
     node.wait_for_head("h:1", nodes_of, pauses.append)
     assert pauses == [1.0, 2.0, 4.0, 8.0, 10.0, 10.0]
-    assert "9.9" not in caplog.text
-    node.wait_for_head("h:1", lambda _: [Node("head", "a", 0, "9.9", is_head=True)])
-    assert "9.9" in caplog.text
 
 
 def test_the_head_offers_no_dashboard_and_simulates_nothing() -> None:

@@ -105,12 +105,11 @@ def change(
 
 @router.delete("/{campaign_id}", status_code=204)
 def delete(campaign_id: str, request: Request, database: DatabaseDependency) -> None:
-    """Deletes an ended campaign with its cells; 409 names the campaigns that refer to it, if there are any. What it simulated stays in the
-    reference table. Deleting again changes nothing."""
+    """Deletes an ended campaign; its cells go in the minutes after. 409 names the campaigns that refer to it, if there are any. What it
+    simulated stays in the reference table. Deleting again changes nothing."""
     with database.transaction() as connection:
         refuse_others(request, campaign_id, campaigns.get(connection, campaign_id, deleted=True).owner)
-        deleted = deletion.delete_campaign(connection, campaign_id)
-    deletion.remove_cells(database, deleted)
+        deletion.delete_campaign(connection, campaign_id)
 
 
 @router.post("/{campaign_id}/pause", status_code=202)

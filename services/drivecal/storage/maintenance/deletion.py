@@ -5,9 +5,10 @@ reference table, with the cells that made them. Its other simulated cells stay a
 campaign answered: copies in other campaigns may name them. The campaign's row stays for them, marked as deleted. No list and no look-up by
 id returns it.
 
-The mark is one transaction, and cells go in slices after it, so that other writers do not wait.
+The mark is one transaction. Everything else goes later, in small pieces, so that other writers do not wait.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 from sqlalchemy import Connection, delete, exists, func, select, update
@@ -35,12 +36,14 @@ from drivecal.storage.engine.tables import (
 )
 from drivecal.storage.engine.types import now
 
-SLICE = 20_000
+SLICE = 5_000
 """Numbers of cells whose rows go in a transaction."""
 KEYS = 5_000
 """Reference keys that go at a time."""
 MOST_LISTED = 20
 """Campaigns that a refusal names."""
+_REMOVE = "remove"
+"""Is asked for of a deleted campaign until its cells are gone."""
 
 
 def references(connection: Connection, campaign: StoredCampaign) -> dict[str, str]:
@@ -60,17 +63,14 @@ def references(connection: Connection, campaign: StoredCampaign) -> dict[str, st
     return referring
 
 
-def delete_campaign(connection: Connection, campaign_id: str) -> int:
+def delete_campaign(connection: Connection, campaign_id: str) -> None:
     """Marks an ended campaign as deleted. Deleting again changes nothing. Until the transaction ends no campaign is queued, which might
-    refer to this one.
-
-    Returns the number of the campaign, whose cells `remove_cells` removes, also if it was marked before: that may have been interrupted.
-    Raises NotFoundError for a campaign that never was, and ConflictError while it runs or if others refer to it.
+    refer to this one. Raises NotFoundError for a campaign that never was, and ConflictError while it runs or if others refer to it.
     """
     admission.alone(connection)
     campaign = stored_campaigns.get(connection, campaign_id, lock=True, deleted=True)
     if campaign.deleted_at is not None:
-        return campaign.sequence
+        return
     if not campaign.state.ended:
         raise ConflictError(f"{campaign_id} has not ended; cancel it, and delete it when a dispatcher has ended it")
     referring = references(connection, campaign)
@@ -78,28 +78,42 @@ def delete_campaign(connection: Connection, campaign_id: str) -> int:
         listed = ", ".join(f"{identifier} ({use})" for identifier, use in list(referring.items())[:MOST_LISTED])
         raise ConflictError(f"other campaigns refer to {campaign_id}: {listed} ({len(referring)} in all); delete them first")
     _mark(connection, campaign.sequence, campaign.id)
-    return campaign.sequence
 
 
-def remove_cells(database: Database, sequence: int) -> None:
-    """Removes what `delete_campaign` left of a campaign: slices of cells, each in a transaction, then all else. Call it again if it was
-    interrupted."""
-    mine = evaluations.c.campaign_sequence == sequence
+def removal(database: Database) -> Iterator[bool]:
+    """Removes what deleted campaigns left, and yields True after each piece. If it was interrupted, a new one goes on."""
+    marked = select(campaigns.c.sequence).where(campaigns.c.requested_action == _REMOVE, campaigns.c.deleted_at.is_not(None))
     with database.read() as connection:
-        first, last = connection.execute(select(func.min(evaluations.c.id), func.max(evaluations.c.id)).where(mine)).one()
+        left = list(connection.scalars(marked))
+    for sequence in left:
+        yield from _remove_cells(database, sequence)
+    while True:
+        with database.transaction() as connection:
+            if not remove_some_keys(connection):
+                return
+        yield True
+
+
+def _remove_cells(database: Database, sequence: int) -> Iterator[bool]:
+    cell = evaluations.c
+    with database.read() as connection:
+        ends = select(func.min(cell.id), func.max(cell.id)).where(cell.campaign_sequence == sequence)
+        first, last = connection.execute(ends).one()
     for start in range(first or 0, (last or 0) + 1, SLICE):
         with database.transaction() as connection:
             admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
             remove_slice(connection, sequence, range(start, start + SLICE))
+        yield True
     with database.transaction() as connection:
         for table in (traces, generations, lots, outside_sets, studies, events):
             connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
+        connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(requested_action=None))
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
     emptied: dict[str, Any] = {"tags": (), "notes": (), "best": None, "confirmation": None, "baseline": None}
     freed: dict[str, Any] = {"influence_map_id": None, "idempotency_key": None, "error_rate": {}, "released": {}}
-    marked = {"deleted_at": now(), "revision": campaigns.c.revision + 1}
+    marked = {"deleted_at": now(), "requested_action": _REMOVE, "revision": campaigns.c.revision + 1}
     connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(emptied | freed | marked))
     maps = list(connection.scalars(select(influence_maps.c.sequence).where(influence_maps.c.source == identifier)))
     index = reference_indexes.c  # `remove_some_keys` removes what has no map any more
