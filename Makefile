@@ -41,7 +41,7 @@ test-compose: $(INSTALLED) ## build, start, break, scale and restore the cluster
 	@$(BIN)/pytest tests/compose -m compose -s
 
 test-packages: $(INSTALLED) ## build the wheel, install its three layers into fresh environments, run the demo there; read files of public projects (minutes)
-	@$(BIN)/pytest tests/integration/test_wheels.py tests/integration/test_public_files.py tests/integration/test_public_roads.py tests/integration/test_tracing.py -m packages -s
+	@$(BIN)/pytest tests/integration/test_wheels.py tests/integration/test_public_files.py tests/integration/test_public_roads.py -m packages -s
 
 check: $(INSTALLED) ## lint, formatting, types, import rules, the page, the documentation
 	@$(MAKE) --no-print-directory --jobs 2 --output-sync check-code check-page

@@ -9,7 +9,7 @@ from importlib.metadata import version
 
 from drivecal.api.app import create_app
 from drivecal.api.http.protocol import Server, configuration
-from drivecal.cluster import pulse, tracing
+from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
 from drivecal.configuration.pushing import OFF, Pushing
 from drivecal.configuration.settings import Settings, load_settings
@@ -31,7 +31,6 @@ def main() -> int:
     try:
         settings = load_settings()
         logs.configure("api", settings)
-        tracing.configure("api")
         if arguments.socket is not None:
             listener = socket.socket(fileno=arguments.socket)
         else:

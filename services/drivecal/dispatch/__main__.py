@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from drivecal.bundles.installed import installed
 from drivecal.campaigns.resolve.problem import trial
-from drivecal.cluster import pulse, tracing
+from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
@@ -52,7 +52,6 @@ def main() -> int:
     try:
         settings = load_settings()
         logs.configure("dispatcher", settings)
-        tracing.configure("dispatcher")
         serve(settings, stop, int(sys.argv[1]) if len(sys.argv) > 1 else None)
     except BackendLostError as error:
         log.error("%s; a new process replaces this one", error)  # noqa: TRY400  # the sentence says it all

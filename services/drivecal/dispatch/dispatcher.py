@@ -23,7 +23,6 @@ from drivecal.campaigns.resolve.workbench import stored_bundles, with_tools
 from drivecal.campaigns.stages.campaign import SingleEvaluation, StagedCampaign, stages_of
 from drivecal.campaigns.stages.leader import best_of_all
 from drivecal.campaigns.stages.stage import Stage
-from drivecal.cluster import tracing
 from drivecal.configuration import logs
 from drivecal.contracts.work import SetupRequest
 from drivecal.dispatch.heartbeat import Waits
@@ -451,10 +450,6 @@ class Dispatcher:
                     note_best(connection)
             campaigns.end(connection, active.campaign.sequence, state, error)
         log.info("the campaign %s%s", state, f": {error}" if error else "")
-        if (context := tracing.root(active.campaign.id)) is not None:
-            stored = self._database.query(campaigns.by_sequence, active.campaign.sequence)
-            begun = round((stored.started_at or stored.created_at).timestamp() * 1e9)
-            tracing.record("campaign", context, begun, campaign=stored.id, campaign_name=stored.name, state=state.value)
         self._active.pop(active.campaign.sequence, None)
 
     def _best_of_all(self, sequence: int) -> Callable[[Connection], None] | None:

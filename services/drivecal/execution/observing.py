@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 
-from drivecal.cluster import tracing
 from drivecal.contracts.work import BatchResult
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Finished, Lost, WorkerInfo
@@ -79,8 +78,6 @@ class Observer:
 
     def __init__(self) -> None:
         self._activity = Activity()
-        self._sent_at: dict[int, int] = {}
-        """Times of traced batches, ns since 1970."""
         self._failures: Counter[str] = Counter()
 
     def describe(self, workers: Collection[WorkerInfo]) -> list[WorkerInfo]:
@@ -90,19 +87,10 @@ class Observer:
     def sent(self, dispatch: Dispatch) -> None:
         """Notes a sent batch."""
         self._activity.sent(dispatch.worker, dispatch.batch_id, dispatch.batch.setup.scenario)
-        if dispatch.batch.trace is not None:
-            self._sent_at[dispatch.batch_id] = time.time_ns()
 
     def came_back(self, dispatch: Dispatch, event: Finished | Lost, completed: Collection[Completed]) -> None:
         """Notes a returned batch; its cells that are not `completed` are sent again."""
         broken = breakdowns(dispatch, event)
-        if (begin := self._sent_at.pop(dispatch.batch_id, None)) is not None:
-            lost = event.breakdown.value if isinstance(event, Lost) else None
-            campaign, scenario = tracing.campaign_of(dispatch.batch.trace), dispatch.batch.setup.scenario
-            known = {"campaign": campaign, "scenario": scenario, "worker": dispatch.worker, "lost": lost}
-            tracing.record(
-                "batch", dispatch.batch.trace, begin, tracing.root(campaign), **known, cells=len(dispatch.batch.cells)
-            )
         if isinstance(event, Finished):
             result = event.result
             self._activity.came_back(dispatch.worker, dispatch.batch_id, len(result.results), result.seconds)

@@ -114,8 +114,6 @@ class Batch:
     setup: SetupRequest
     cells: tuple[Cell, ...]
     closes: bool = False
-    trace: str | None = None
-    """Context of its span (W3C `traceparent`), if traces are sent."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ import socket
 import time
 from dataclasses import dataclass
 
-from drivecal.cluster import tracing
 from drivecal.contracts.work import Batch, BatchResult, CellResult
 from drivecal.domain.errors import DrivecalError, UnavailableError, describe
 from drivecal.plugins.simulators import BusyError, UnsuitableError
@@ -43,7 +42,6 @@ class Worker:
 
         Raises UnavailableError naming the reason if the trial fails.
         """
-        tracing.configure("worker")
         prepare_cache()
         result = self.run(trial)
         for reason in (result.refusal, *(cell.detail for cell in result.results)):
@@ -73,18 +71,8 @@ class Worker:
                 self._bundles.close(batch.setup)
             elif not batch.cells:
                 tools = self._bundles.probe(batch.setup)
-            begin = time.time_ns()
-            for cell in batch.cells:  # what an exception ends keeps its results
-                result = self._bundles.run(batch.setup, cell)
-                results.append(result)
-                if batch.trace is not None:
-                    known = {
-                        "campaign": tracing.campaign_of(batch.trace),
-                        "scenario": batch.setup.scenario,
-                        "worker": self._name,
-                    }
-                    tracing.record("run", tracing.child(batch.trace), begin, batch.trace, **known, breakdown=result.breakdown)
-                    begin = time.time_ns()
+            for cell in batch.cells:  # an exception keeps the results before it
+                results.append(self._bundles.run(batch.setup, cell))  # noqa: PERF401
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
         except BusyError as error:

@@ -13,7 +13,6 @@ from drivecal.api.http.authorisation import READING
 from drivecal.api.http.problems import REQUEST_ID
 from drivecal.api.metrics import Meters
 from drivecal.api.responses import ROOT
-from drivecal.cluster import tracing
 from drivecal.configuration import logs
 
 METHODS = READING | {"POST", "PUT", "PATCH", "DELETE"}
@@ -39,7 +38,7 @@ class RequestRecords:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        begin, began_at = time.perf_counter(), time.time_ns()
+        begin = time.perf_counter()
         given = Headers(scope=scope).get(REQUEST_ID, "")
         request_id = given if _SANE.fullmatch(given) else uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = request_id
@@ -60,11 +59,6 @@ class RequestRecords:
             await self.app(scope, receive, noting)
         finally:
             self._note(scope, status, None if streams else time.perf_counter() - begin)
-            parent = Headers(scope=scope).get("traceparent")
-            if (context := tracing.child(parent)) is not None:
-                known = {"method": scope["method"], "route": _template(scope), "request": request_id, "status": status}
-                known["campaign"] = scope.get("path_params", {}).get("campaign_id")
-                tracing.record("request", context, began_at, parent, **known)
 
     def _note(self, scope: Scope, status: int, seconds: float | None) -> None:
         """Counts and logs a request. `seconds` is None for an event stream, which lasts as long as its client listens."""

@@ -16,7 +16,6 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from drivecal.cluster import tracing
 from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import Batch, BatchResult, CellResult, SetupKey, SetupRequest
 from drivecal.domain.evaluations import Breakdown
@@ -414,8 +413,7 @@ class Scheduler:
         cost = self._costs.seconds_per_cell(first.key)
         expected = None if cost is None else cost * len(sent.leaders)
         self._charge(sent, TARGET_SECONDS if expected is None else expected)
-        trace = tracing.child(tracing.root(sent.line.tag))
-        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders), trace=trace)
+        batch = Batch(first.setup, tuple(leader.cell for leader in sent.leaders))
         breakdowns = {leader.cell.id: leader.simulation.breakdowns for leader in sent.leaders}
         return Dispatch(sent.worker, batch_id, batch, expected, sent.alone, breakdowns)
 
