@@ -42,7 +42,7 @@ def read_results(path: Path, problem: ProblemAnswer) -> tuple[list[dict[str, Any
             if kind != "scenario" and name in row[kind]:
                 raise InvalidInputError(Problem(f"{path}, {header}", f"another column is {name}, too", "leave one of them out"))
             if kind == "scenario":
-                row[kind] = str(value)
+                row |= {} if value is None else {kind: str(value)}
             elif kind == "parameters" and name in problem.shapes and value:
                 row[kind] |= settings([f"{name}={value}"], f"{path}, row {number}, {name}")  # a list, or its text
             elif value not in (None, ""):
@@ -69,7 +69,7 @@ def _lines(path: Path) -> list[dict[str, Any]]:
             from pyarrow import parquet
 
             lines: list[dict[str, Any]] = parquet.read_table(io.BytesIO(path.read_bytes())).to_pylist()
-            return lines
+            return [{name: None if value != value else value for name, value in line.items()} for line in lines]  # NaN: none
         text = path.read_text("utf-8-sig")
         if path.suffix.lower() != ".json":
             head = text.partition("\n")[0]

@@ -225,7 +225,7 @@ def _files(field: str, scenario: Declared) -> Iterator[Problem]:
         path = getattr(scenario, key, None)
         if path is None:
             continue
-        if not path.endswith(endings):
+        if not path.lower().endswith(endings):
             remedy = f"give the path of a {' or '.join(endings)} file of the bundle"
             yield Problem(f"{field}.{key}", f"{shown(path)} is {kind}", remedy)
         elif key == "network" and any(character in path for character in SPLITTING):

@@ -50,7 +50,7 @@ def conversions(manifest: Manifest, files: Mapping[str, BundleFile]) -> tuple[di
         if isinstance(name, InvalidInputError):
             problems += _prefixed(name, field)
             continue
-        if not name.endswith(".xodr") or name not in files or network_file(name) in networks:
+        if not name.lower().endswith(".xodr") or name not in files or network_file(name) in networks:
             continue
         existing = files.get(network_file(name))
         if existing is not None:

@@ -31,6 +31,7 @@ from drivecal.roads.opendrive import (
     LIGHTS,
     NO_LIMIT,
     READ,
+    VIRTUAL,
     FileLane,
     FileRoad,
     RoadFile,
@@ -273,6 +274,7 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
         for child in list(element):
             if child.tag not in known or (child.tag == "signal" and not _is_light(child)):
                 element.remove(child)
+    document[:] = [child for child in document if child.get("type") != VIRTUAL]
     for header in document.iter("header"):
         header.set("revMinor", minor if (minor := header.get("revMinor", "")).isdigit() else "4")
     for geometry in document.iter("geometry"):

@@ -11,6 +11,8 @@ from xml.parsers import expat
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
+ROUNDED = 1e-6
+"""Metres beyond an end that are no more than rounding."""
 MOST_NOTES = 50
 """Notes on a file; the last line says how many more there are."""
 MOST_PLACES = 5
@@ -85,6 +87,8 @@ class Attributes:
             value = float(text)
         except ValueError:
             value = math.nan
+        if -ROUNDED <= value < lower == 0.0:  # exporters compute places
+            return 0.0
         if not lower <= value <= upper or "_" in text:
             message = f"{key} is {shown(text, 40)}, which is not a number between {lower:g} and {upper:g}"
             raise self.fault(message, "correct the number")

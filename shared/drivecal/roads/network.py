@@ -65,7 +65,7 @@ _SOURCE = re.compile(rb"<!-- converted \(version %d\) from an OpenDRIVE file of 
 
 def network_file(name: str) -> str:
     """Returns the file of a bundle that holds a network: that of an OpenDRIVE file lies next to it since the bundle was packed."""
-    return name + CONVERTED if name.endswith(".xodr") else name
+    return name + CONVERTED if name.lower().endswith(".xodr") else name
 
 
 def source_of(network: bytes) -> str | None:

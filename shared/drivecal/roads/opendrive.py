@@ -29,6 +29,8 @@ SHARPEST = 10.0
 PANEL = 1.0
 """Metres over which a clothoid is integrated by one rule of five points."""
 MOST_PANELS = 1_000_000
+VIRTUAL = "virtual"
+"""Type of the junctions on whose roads nothing begins or ends, as at an entrance to a house."""
 
 
 @dataclass(slots=True)
@@ -336,6 +338,7 @@ class _Reader:
         self.lane: FileLane | None = None
         self.geometry: Attributes | None = None
         self.kind_begin = 0.0
+        self.is_virtual = False
         self.notes = JoinedNotes()
         self.named: list[tuple[Attributes, str]] = []
         """Elements that name a road, with the attribute."""
@@ -464,9 +467,14 @@ class _Reader:
     def on_opendrive_junction(self, attributes: Attributes) -> None:
         """Checks a junction, which netconvert reads."""
         _check_name(attributes, "id")
+        self.is_virtual = attributes.text("type", "default") == VIRTUAL
+        if self.is_virtual:
+            self.notes.add(f"junction {attributes.text('id')}", "virtual: left out, and nobody turns there")
 
     def on_junction_connection(self, attributes: Attributes) -> None:
         """Checks a connection, which netconvert reads."""
+        if self.is_virtual:
+            return
         attributes.text("id")
         self.named += [
             (attributes, key) for key in ("incomingRoad", "connectingRoad", "linkedRoad") if key in attributes.values

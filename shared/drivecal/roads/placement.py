@@ -87,6 +87,8 @@ class _Placement:
         self.pieces: dict[str, Piece] = {}
         self.last: dict[str, float | None] = {}
         """The limit at the end of each lane."""
+        self.sampled: dict[str, tuple[Floats, Floats]] = {}
+        """Stations of each road, and where they are (n, 2)."""
         self.notes = JoinedNotes()
 
     def placed(self) -> JoinedNotes:
@@ -119,9 +121,22 @@ class _Placement:
         if road is None:
             return None
         shape = np.array([point.split(",")[:2] for point in lane.get("shape", "").split()], np.float64)
-        begin, end = (float(s) for s in _stations(road, shape[[0, -1]]))
+        begin, end = (float(s) for s in self._stations(road, shape[[0, -1]]))
         section = road.section_at(0.5 * (begin + end))
         return Piece(road, section, index, begin, end) if index in road.sections[section].lanes else None
+
+    def _stations(self, road: FileRoad, points: Floats) -> Floats:
+        """Returns the stations of a road nearest to points (n, 2)."""
+        if road.id not in self.sampled:
+            s = np.linspace(0.0, road.length, max(2, ceil(road.length / STEP) + 1))
+            self.sampled[road.id] = s, np.column_stack(road.reference(s)[:2])
+        s, places = self.sampled[road.id]
+        best = np.array([s[int(np.argmin(np.hypot(*(places - point).T)))] for point in points])
+        for _ in range(5):
+            x, y, heading = road.reference(best)
+            ahead = (points[:, 0] - x) * np.cos(heading) + (points[:, 1] - y) * np.sin(heading)
+            best = np.clip(best + np.clip(ahead, -STEP, STEP), 0.0, road.length)
+        return best
 
     def _leave(self, lane: Element, place: str, cause: str) -> None:
         """Marks a lane that stays where netconvert has put it, so that no route may use it."""
@@ -188,6 +203,7 @@ class _Placement:
             via = self.onward.get(via)
 
     def _write(self, lane: Element, points: Floats, widths: Floats) -> None:
+        widths = np.maximum(widths, 0.0)
         kept = _simplified(np.column_stack([points, widths]))
         shape = kept[:, :2] if len(kept) > 1 else np.vstack([kept[:, :2]] * 2)
         lane.set("shape", " ".join(f"{x:.{DECIMALS}f},{y:.{DECIMALS}f}" for x, y in shape))
@@ -207,18 +223,6 @@ def _origin(lane: Element, file: RoadFile) -> tuple[FileRoad | None, int]:
     road, _, index = _named(lane).rpartition("_")
     is_number = index.removeprefix("-").isdigit()
     return (file.roads.get(road), int(index)) if is_number else (None, 0)
-
-
-def _stations(road: FileRoad, points: Floats) -> Floats:
-    """Returns the stations of a road nearest to points (n, 2)."""
-    s = np.linspace(0.0, road.length, max(2, ceil(road.length / STEP) + 1))
-    x, y, _ = road.reference(s)
-    best = np.array([s[int(np.argmin(np.hypot(x - point[0], y - point[1])))] for point in points])
-    for _ in range(5):
-        x, y, heading = road.reference(best)
-        ahead = (points[:, 0] - x) * np.cos(heading) + (points[:, 1] - y) * np.sin(heading)
-        best = np.clip(best + np.clip(ahead, -STEP, STEP), 0.0, road.length)
-    return best
 
 
 def _between(before: Piece, after: Piece, road: FileRoad | None, index: int) -> Iterator[Piece]:

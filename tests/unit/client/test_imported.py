@@ -1,6 +1,7 @@
 """Files with results from elsewhere."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,7 @@ def test_csv_is_read_with_units_in_its_header(tmp_path: Path, separator: str) ->
 
 
 def test_json_and_parquet_are_read_alike(tmp_path: Path) -> None:
-    parquet.write_table(pa.Table.from_pylist(LINES), tmp_path / "rig.parquet")
+    parquet.write_table(pa.Table.from_pylist([LINES[0] | {"energy": math.nan}]), tmp_path / "rig.parquet")
     for path in (written(tmp_path, "rig.json", json.dumps(LINES).lstrip("\ufeff")), tmp_path / "rig.parquet"):
         assert read_results(path, PROBLEM) == (ROWS, {})
 

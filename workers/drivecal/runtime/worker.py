@@ -72,7 +72,7 @@ class Worker:
             elif not batch.cells:
                 tools = self._bundles.probe(batch.setup)
             for cell in batch.cells:  # an exception keeps the results before it
-                results.append(self._bundles.run(batch.setup, cell))  # noqa: PERF401
+                results.append(self._bundles.run(batch.setup, cell))  # noqa: PERF401  # `extend` hides that
         except OtherToolsError as error:
             refusal, tools = describe(error), error.answer
         except BusyError as error:

@@ -114,8 +114,9 @@ def described_in(folder: Path, data: Mapping[str, Any], step: float) -> Descript
 
 def map_of(read: Callable[[str], bytes], name: str, check_time: Callable[[], None] = lambda: None) -> Map:
     """Returns the map of a network, whose file is read by `read`. `check_time`: see Map. Raises InvalidInputError."""
-    network = read_network(read(network_file(name)), name)
-    return Map(network, (lambda: read_opendrive(read(name), name)) if name != network_file(name) else None, check_time)
+    is_converted = name != network_file(name)
+    network = read_network(read(network_file(name)), f"the network that netconvert makes of {name}" if is_converted else name)
+    return Map(network, (lambda: read_opendrive(read(name), name)) if is_converted else None, check_time)
 
 
 def with_origin(problem: Problem, origins: Mapping[str, Problem]) -> Problem:

@@ -146,8 +146,10 @@ def _catalog(
     for location in given:
         directory = location.only("Directory")
         folders.append(directory.text("path"))
-        folder = normpath(join(dirname(reference.file), directory.text("path")))
-        for file in sorted(path for path in files.names if normpath(dirname(path)) == folder and path.endswith(".xosc")):
+        folder = normpath(join(dirname(reference.file), directory.text("path").replace("\\", "/")))
+        for file in sorted(
+            path for path in files.names if normpath(dirname(path)) == folder and path.lower().endswith(".xosc")
+        ):
             content = files.catalog(file, name)
             if content is not None:
                 described = reversed(content.every(*tags))  # the first of a name stays

@@ -6,6 +6,7 @@ A declared subset is read. What has no effect on the drive is noted with its lin
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from math import ceil, inf, pi
 from typing import Any, NamedTuple
 
@@ -16,12 +17,12 @@ from drivecal.bundles.highway_actions import EGO
 from drivecal.bundles.traffic.conditions import LARGEST, stop_time
 from drivecal.bundles.traffic.elements import Element, Notes, declare, read_tree, substituted
 from drivecal.bundles.traffic.entities import Catalogs, Entity, Files, bundle_path, entities_of
-from drivecal.bundles.traffic.places import FilePlace, Map, along
+from drivecal.bundles.traffic.places import FilePlace, Map, along, links
 from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_controller, ignore_global, target_speed
 from drivecal.bundles.traffic.ways import FREE, Polyline, Pose, WayReader, is_turned
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem, attempted
 from drivecal.roads.corridor import Corridor
 from drivecal.roads.lines import project
 
@@ -138,15 +139,23 @@ class _Init:
 
     def _off_lane(self, position: Element, pose: Pose, drive: Sequence[str]) -> Polyline | None:
         """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
-        straight = Polyline(np.array([pose[:2], pose.moved(1.0, 0.0)[:2]]))
-        if position.every(*FREE):
-            return straight
-        place = self.roads.place(position, self.places, drive)
-        heading = self.reader.pose_of(place).heading
-        if place.lane > 0 or not is_turned(pose, heading):  # on left lanes, files mean both directions by both headings
-            return None
-        self.notes.add(position.children[0], "not in the direction of its lane: it moves on no lane, unseen by SUMO's models")
-        return self.reader.back(place) if not is_turned(pose, heading + pi) else straight
+        straight = Polyline(np.array([pose[:2], pose.moved(1e3, 0.0)[:2]]))
+        if position.every(*FREE) or any("h" in each.values for each in position.every("WorldPosition")):
+            ground = self.roads.ground
+            tried = [attempted(ground.place, pose.x, pose.y, heading, drive, position) for heading in (pose.heading, None)]
+            place = next((each for each in tried if not isinstance(each, InvalidInputError)), None)
+            if isinstance(tried[1], InvalidInputError) and not (position.every(*FREE) or ground.is_near(pose.x, pose.y)):
+                raise tried[1]
+        else:
+            place = self.roads.place(position, self.places, drive)
+        is_against = False
+        if place is not None:
+            heading = self.reader.pose_of(place).heading
+            is_against = not is_turned(pose, heading + pi)
+            if not is_turned(pose, heading) or (place.lane > 0 and is_against):
+                return None
+        self.notes.add(position.children[0], "not on a lane in its direction: it moves on no lane, unseen by SUMO's models")
+        return self.reader.back(place) if place is not None and is_against else straight
 
     def _follow(self, kind: Element, name: str) -> None:
         """Takes a trajectory or a route of <Init>: the drive of the ego vehicle, or the path of another one."""
@@ -377,9 +386,15 @@ class ScenarioFile:
         return route
 
     def _way(self, start: _Start, route: Sequence[str], roads: Map, duration: float) -> list[str]:
-        """Returns the edges that a vehicle drives: the rest of the route, or along its own road."""
+        """Returns the edges that a vehicle drives: the rest of the route as far as its lane leads along it, or along its own road."""
         if start.place.edge in route:
-            return list(route[route.index(start.place.edge) :])
+            way, index = list(route[route.index(start.place.edge) :]), start.place.index
+            for number, (edge, after) in enumerate(pairwise(way), 1):
+                ahead = [link for link in links(roads.network, edge) if link.from_lane == index]
+                if ahead and after not in {link.end for link in ahead}:
+                    return [*way[:number], *along(roads.network, ahead[0].end, SHORTEST)]
+                index = next((link.to_lane for link in ahead if link.end == after), index)
+            return way
         length = start.place.position + max(SHORTEST, SPARE * max(start.speed, 10.0) * duration)
         way = along(roads.network, start.place.edge, length)
         joins = next((index for index, edge in enumerate(way) if edge in route), None)
@@ -402,7 +417,8 @@ class ScenarioFile:
             size = {"length": entity.length, "width": entity.width}
             return document | {"path": points, "s": s, "speed": start.speed, "actions": actions.get(name, [])} | size
         document |= _placed(start, entity)
-        if start.place.edge not in route:
+        changes_lane = any(action["do"] == "cut_in" for action in actions.get(name, []))
+        if start.place.edge not in route or not (set(way) <= set(route) or changes_lane):
             document["route"] = way
         return document | {"actions": actions.get(name, [])}
 

@@ -124,6 +124,10 @@ class Ground:
             drive = self._decided(above, heading, route, x, y, element)
         return _closest(drive, x, y, heading, element)
 
+    def is_near(self, x: float, y: float) -> bool:
+        """Returns whether a lane is within `BESIDE` of coordinates."""
+        return any(candidate.off <= BESIDE for candidate in _projections(self._around(x, y, BESIDE), x, y))
+
     def _decided(
         self, above: list[_Candidate], heading: float | None, route: Sequence[str], x: float, y: float, element: Element
     ) -> list[_Candidate]:
@@ -291,10 +295,7 @@ class Map:
         self.check_time()
         kind = position.only("LanePosition", "WorldPosition", "RoadPosition", "RelativeLanePosition", "RelativeRoadPosition")
         if kind.element == "WorldPosition":
-            x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
-            heading = kind.number("h", -10.0, 10.0) if "h" in kind.values else None
-            moved = (0.0, 0.0) if self._source is not None else self.network.offset
-            return self.ground.place(x + moved[0], y + moved[1], heading, route, kind)
+            return self.ground.place(*self.coordinates(kind), route, kind)
         if kind.element == "LanePosition":
             road = self._road(kind)
             lane, s = kind.integer("laneId", -64, 64), kind.number("s", 0.0, LARGEST)
@@ -315,6 +316,13 @@ class Map:
             return self._on_road(self._road(kind, there.road), there.s + ds, there.t + kind.number("dt", -100.0, 100.0), kind)
         offset = kind.number("offset", -MOST_ASIDE, MOST_ASIDE, 0.0)
         return self._beside(there, kind.integer("dLane", -30, 30), ds, offset, kind)
+
+    def coordinates(self, kind: Element) -> tuple[float, float, float | None]:
+        """Returns x, y (m, of the network) and the heading (rad), if it has one, of a <WorldPosition>. Raises InvalidInputError."""
+        x, y = (kind.number(key, -1e8, 1e8) for key in ("x", "y"))
+        heading = kind.number("h", -10.0, 10.0) if "h" in kind.values else None
+        moved = (0.0, 0.0) if self._source is not None else self.network.offset
+        return x + moved[0], y + moved[1], heading
 
     def lane_index(self, edge: str, road_lane: int) -> int | None:
         """Returns the index of the lane of an edge that was made of a lane of its road, None if there is none."""
@@ -367,9 +375,7 @@ class Map:
 
     def _on_lane(self, road: FileRoad, lane: int, s: float, offset: float, element: Element) -> FilePlace:
         """Returns the place at an offset from a lane's centre."""
-        if not 0.0 <= s <= road.length:
-            message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
-            raise element.fault(message, f"give 0 to {road.length:.2f}")
+        s = _within(road, s, element)
         section = road.section_at(s)
         lanes = road.sections[section].lanes
         if lane == 0 or lane not in lanes:
@@ -388,9 +394,7 @@ class Map:
 
     def _on_road(self, road: FileRoad, s: float, t: float, element: Element) -> FilePlace:
         """Returns the place at a distance to the left of a road's reference line."""
-        if not 0.0 <= s <= road.length:
-            message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
-            raise element.fault(message, f"give 0 to {road.length:.2f}")
+        s = _within(road, s, element)
         x, y, heading = (float(column[0]) for column in road.reference(np.array([s])))
         lanes = [lane for name, lanes in self._by_origin.items() if name.rpartition("_")[0] == road.id for lane in lanes]
         there = nearest(lanes, x - t * sin(heading), y + t * cos(heading), element)
@@ -418,3 +422,11 @@ class Map:
         """Returns the number of the lane of the file on which a place is, 0 if the network was not made of one."""
         origins = (self.network.edges[place.edge].lanes[place.index].origin or "").split() if self._source is not None else []
         return int(origins[0].rpartition("_")[2]) if origins else 0
+
+
+def _within(road: FileRoad, s: float, element: Element) -> float:
+    """Returns an s of a road, which rounding may have moved beyond its end. Raises InvalidInputError."""
+    if not 0.0 <= s <= road.length + ROUNDING:
+        message = f"road {shown(road.id)} is {road.length:.2f} m long, and has no s = {s:g} m"
+        raise element.fault(message, f"give 0 to {road.length:.2f}")
+    return min(s, road.length)

@@ -164,9 +164,14 @@ class WayReader:
         """
         self._roads.check_time()
         kind = next((child for child in position.every(*FREE)), None)
-        if kind is None:
+        world = next((each for each in position.every("WorldPosition") if depth or "h" in each.values), None)
+        is_left = False
+        if world is not None:
+            x, y, heading = self._roads.coordinates(world)
+            pose, kind = Pose(x, y, heading or 0.0), world
+        elif kind is None:
             place = self._roads.place(position, places, drive)
-            pose, kind = self.pose_of(place), position.children[0]
+            pose, kind, is_left = self.pose_of(place), position.children[0], place.lane > 0
         elif kind.element == "TrajectoryPosition":
             way = self.trajectory(kind, places, poses, depth)
             pose = way.pose(kind.number("s", 0.0, 1e6), kind.number("t", -1e3, 1e3, 0.0))
@@ -185,7 +190,9 @@ class WayReader:
         turn = orientation.number("h", -100.0, 100.0, 0.0)
         unsaid = "absolute" if turn and kind.element in {"LanePosition", "RoadPosition"} else "relative"
         is_absolute = orientation.word("type", ("relative", "absolute"), unsaid) == "absolute"
-        return pose._replace(heading=turn if is_absolute else pose.heading + turn)
+        # Files mean both directions of a left lane by both headings along it; across it, they count from the road's direction.
+        against = pi if is_left and is_turned(Pose(0.0, 0.0, turn), 0.0) and is_turned(Pose(0.0, 0.0, turn), pi) else 0.0
+        return pose._replace(heading=turn if is_absolute else pose.heading + turn + against)
 
     def _on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> Pose:
         """Returns the pose of a <RoutePosition>."""

@@ -2,12 +2,15 @@
 
 from math import cos, hypot, pi, sin
 
+import numpy as np
 import pytest
+from tests.support.opendrive_files import exit_ramp
 from tests.support.scenario_files import (
     BOX,
     BRAKE,
     CARS,
     EGO,
+    IN,
     OTHER,
     STEP,
     absolute,
@@ -15,6 +18,7 @@ from tests.support.scenario_files import (
     change_of_speed,
     event,
     lane,
+    maps,
     of_file,
     refused,
     scenario,
@@ -30,7 +34,11 @@ from drivecal.bundles.highway_actions import Brake, Meet
 from drivecal.bundles.highway_checks import scenario_problems
 from drivecal.bundles.traffic import entities
 from drivecal.bundles.traffic.description import Description
+from drivecal.bundles.traffic.places import Map
 from drivecal.domain.errors import InvalidInputError
+from drivecal.roads.conversion import converted
+from drivecal.roads.network import read_network
+from drivecal.roads.opendrive import read_opendrive
 
 HEADING = 0.2
 """Heading of the motorway's straight, which begins at (100, 50)."""
@@ -160,7 +168,7 @@ def test_an_obstacle_stands_relative_to_another_one() -> None:
     third = description.scenario.traffic[1]
     first, ahead = path_of(third)
     assert first == pytest.approx((210.0, -5.25 - 9.0), abs=0.05)
-    assert ahead[0] - first[0] == pytest.approx(1.0, abs=0.01)
+    assert ahead[0] - first[0] == pytest.approx(1e3, abs=0.01)
 
 
 @pytest.mark.parametrize(("kind", "heading"), [("absolute", pi / 2), ("relative", HEADING + pi / 2)])
@@ -169,7 +177,63 @@ def test_a_heading_beside_another_vehicle_is_absolute_or_relative(kind: str, hea
     beside = f'<Position><RelativeObjectPosition entityRef="Other" dx="10" dy="-9">{turned}</RelativeObjectPosition></Position>'
     third = read(CARS | {"Third": vehicle()}, EGO + OTHER + private("Third", moved(beside))).scenario.traffic[1]
     (x, y), (ahead_x, ahead_y) = third.path or []
-    assert (ahead_x - x, ahead_y - y) == pytest.approx((cos(heading), sin(heading)), abs=1e-5)
+    assert (ahead_x - x, ahead_y - y) == pytest.approx((1e3 * cos(heading), 1e3 * sin(heading)), abs=1e-2)
+
+
+def world(along: float, left: float, turn: float) -> str:
+    """A <Position> by coordinates: metres along the motorway's straight, to its left, and a turn from its direction (rad)."""
+    x, y = (100.0, 50.0) + np.array([[cos(HEADING), -sin(HEADING)], [sin(HEADING), cos(HEADING)]]) @ (along, left)
+    return f'<Position><WorldPosition x="{x}" y="{y}" h="{HEADING + turn}"/></Position>'
+
+
+def turned(index: int, turn: float) -> str:
+    """A <Position> on a lane, turned from the direction of the lane, or across a left one from the road's."""
+    return lane(index, 300).replace("/></Position>", f'><Orientation type="relative" h="{turn}"/></LanePosition></Position>')
+
+
+@pytest.mark.parametrize(
+    ("position", "begin", "ahead"),
+    [
+        (world(300, -9, pi / 2), (300.0, -9.0), (0.0, 1.0)),
+        (world(300, -9, -pi / 2), (300.0, -9.0), (0.0, -1.0)),
+        (world(300, -40, pi / 2), (300.0, -40.0), (0.0, 1.0)),
+        (turned(-3, pi / 2), (300.0, -8.75), (0.0, 1.0)),
+        (turned(3, -pi / 2), (300.0, 8.75), (0.0, -1.0)),
+    ],
+)
+def test_a_pedestrian_walks_in_the_direction_of_its_heading(
+    position: str, begin: tuple[float, float], ahead: tuple[float, float]
+) -> None:
+    walker = other_of(read(CARS | {"Other": WALKER}, EGO + private("Other", moved(position))))
+    first, last = np.array(path_of(walker))
+    assert first == pytest.approx(begin, abs=0.05)
+    assert (last - first) / 1e3 == pytest.approx(ahead, abs=0.01)
+
+
+def test_a_vehicle_ahead_of_another_in_its_lane_drives_on_the_lane() -> None:
+    ahead = '<Position><RelativeObjectPosition entityRef="Ego" dx="60" dy="0"/></Position>'
+    car = other_of(read(CARS, EGO + private("Other", moved(ahead))))
+    assert (car.path, car.edge) == (None, "-7")
+    assert car.s == pytest.approx(150 + 60 + 1.4, abs=0.5)
+
+
+def test_places_that_rounding_moves_beyond_an_end_are_at_the_end() -> None:
+    for s, own in (("-1e-12", 0.0), ("2000.0000001", 2000.0)):
+        walker = start("Other", lane(-3, s, -6), absolute(0))
+        (place,) = of_file(scenario(CARS | {"Other": WALKER}, EGO + walker)).scenario.traffic
+        assert place.s == pytest.approx(own, abs=5.0)
+
+
+def test_a_vehicle_on_an_exit_lane_leaves_the_drive_unless_it_changes_lanes(monkeypatch: pytest.MonkeyPatch) -> None:
+    road = exit_ramp()
+    network = read_network(converted(road, "a.xodr").network, "a.xodr")
+    monkeypatch.setitem(maps(), "maps/motorway.xodr", Map(network, lambda: read_opendrive(road, "a.xodr")))
+    at = '<Position><LanePosition roadId="1" laneId="{}" s="{}"/></Position>'
+    starts = start("Ego", at.format(-1, 200), absolute(30)) + start("Other", at.format(-3, 500), absolute(25))
+    stays = of_file(scenario(CARS, starts)).scenario
+    changes = of_file(scenario(CARS, starts, act("Other", event("in", IN, when_time(1))))).scenario
+    assert stays.route == ["-1#0", "-1#1", "-1#2", "-2"]
+    assert [other.traffic[0].route for other in (stays, changes)] == [["-1#2", "-3"], None]
 
 
 def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:

@@ -28,7 +28,7 @@ FAR_AWAY = Moving(0.0, 0.0, 0.0, 2.5)
 @pytest.fixture
 def sumo(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Stands in for SUMO: answers and records the actions' calls for one vehicle on an edge of two lanes."""
-    recorded = SimpleNamespace(road="e0", speeds=[], modes=[], offsets=[])
+    recorded = SimpleNamespace(road="e0", speeds=[], modes=[], offsets=[], centres=[0.0, 3.5])
     recorded.edge = SimpleNamespace(getLaneNumber=lambda edge: 1 if edge.startswith(":") else 2)
     recorded.lane = SimpleNamespace(getWidth=lambda _: 3.5)
     recorded.vehicle = SimpleNamespace(
@@ -36,12 +36,14 @@ def sumo(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         getRoadID=lambda _: recorded.road,
         getLaneIndex=lambda _: 0,
         getLanePosition=lambda _: 0.0,
+        getAngle=lambda _: 90.0,
         getLateralLanePosition=lambda _: 0.0,
         setLateralLanePosition=lambda _, offset: recorded.offsets.append(offset),
         setSpeed=lambda _, speed: recorded.speeds.append(speed),
         setSpeedMode=lambda _, mode: recorded.modes.append(mode),
         moveTo=lambda *_: None,
     )
+    recorded.simulation = SimpleNamespace(convert2D=lambda _, at, lane: (at, recorded.centres[lane]))
     monkeypatch.setattr(actions, "sumo", recorded)
     return recorded
 
@@ -200,6 +202,12 @@ def test_a_change_of_lanes_takes_as_long_as_its_distance_or_lateral_speed_says(s
         these = of({"do": "cut_in", "time": 0, "by": 1} | given)
         steps(these, range(5))
         assert sumo.offsets[round(0.5 * seconds / STEP) - 1] == pytest.approx(1.75)
+
+
+def test_a_lane_that_no_car_drives_on_may_lie_between_two_lanes(sumo: SimpleNamespace) -> None:
+    sumo.centres = [0.0, 7.0]
+    steps(of({"do": "cut_in", "time": 0, "by": 1, "seconds": 2.0}), range(5))
+    assert sumo.offsets == pytest.approx([0.724609375, -3.5, -0.724609375, 0.0])
 
 
 def test_an_action_waits_until_another_is_done(sumo: SimpleNamespace) -> None:

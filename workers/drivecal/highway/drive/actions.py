@@ -5,7 +5,7 @@ Conditions are evaluated once per step of the traffic.
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
-from math import atan2, ceil, copysign, cos, hypot, inf, isnan, sin, sqrt
+from math import atan2, ceil, copysign, cos, hypot, inf, isnan, radians, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -369,21 +369,19 @@ class Actions:
             return
         edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
         count = sumo.edge.getLaneNumber(edge)
-        centres = [0.0]
-        for lane in range(1, count):
-            centres.append(centres[-1] + 0.5 * (_width(edge, lane - 1) + _width(edge, lane)))
+        centres = [_aside(name, edge, index, lane) for lane in range(count)]
         target_lane = action.lane
         if target_lane is None:
             left = 0.0
             if action.beside is not None:
                 left = self._left(name, action.beside, moment) + offset
-            base = min(range(count), key=lambda lane: abs(centres[lane] - centres[index] - left))
+            base = min(range(count), key=lambda lane: abs(centres[lane] - left))
             target_lane = base + (action.by or 0)
         if not 0 <= target_lane < count:
             raise ActionError(
                 f"{name} cannot cut into lane {target_lane} of edge {edge} at {moment.time:g} s, which has {count} lanes"
             )
-        way = centres[target_lane] - centres[index] - offset
+        way = centres[target_lane] - offset
         seconds = action.seconds or DEFAULT_SECONDS
         if action.metres is not None:
             seconds = action.metres / max(vehicle.getSpeed(name), SLOWEST_BRAKING)
@@ -467,10 +465,10 @@ class Actions:
         side = (running.steps > 0) - (running.steps < 0)
         if side:
             edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
-            half = 0.5 * _width(edge, index)
+            half = 0.5 * sumo.lane.getWidth(f"{edge}_{index}")
             if side * offset > half and not edge.startswith(":") and 0 <= index + side < sumo.edge.getLaneNumber(edge):
+                way = _aside(name, edge, index, index + side)
                 vehicle.moveTo(name, f"{edge}_{index + side}", vehicle.getLanePosition(name))
-                way = side * (half + 0.5 * _width(edge, index + side))
                 running.passed += way
                 running.steps -= side
                 offset -= way
@@ -497,6 +495,9 @@ def _rate(brake: Brake, speed: float, target: float) -> float:
     return DEFAULT_RATE if brake.rate is None else brake.rate
 
 
-def _width(edge: str, lane: int) -> float:
-    width: float = sumo.lane.getWidth(f"{edge}_{lane}")
-    return width
+def _aside(name: str, edge: str, lane: int, other: int) -> float:
+    """Returns how far to the left of its lane's centre that of another lane is (m), as `moveTo` moves a vehicle: others may lie between."""
+    at, heading = sumo.vehicle.getLanePosition(name), radians(90.0 - sumo.vehicle.getAngle(name))
+    (x, y), (there_x, there_y) = (sumo.simulation.convert2D(edge, at, index) for index in (lane, other))
+    way: float = (there_y - y) * cos(heading) - (there_x - x) * sin(heading)
+    return way
