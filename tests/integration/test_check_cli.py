@@ -100,6 +100,7 @@ def test_a_set_is_checked_against_limits_and_baseline_in_every_scenario(checking
     assert len(checking.backend.sent) == 12
     assert checking(baseline, "--fresh").exit_code == 0
     assert len(checking.backend.sent) == 18
+    assert checking(chosen, "--seeds", "2").exit_code == 2, "its simulator is deterministic"
 
 
 def test_new_runs_that_differ_from_stored_ones_fail_the_check(checking: Checking) -> None:

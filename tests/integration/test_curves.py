@@ -96,7 +96,10 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
     assert (np.diff(shown, axis=0) >= 0).all()
     with mock.patch.object(Database, "read", one_at_a_time(Database.read)):  # else requests wait for each other's connections
         in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
-        assert setup_of(ranking_of(database, ended.id)) == results.setup
+        with mock.patch("drivecal.storage.results.answers", wraps=answers) as reads:
+            assert setup_of(ranking_of(database, ended.id)) == results.setup
+            assert ranking_of(database, ended.id).sets.best_first()
+        assert reads.call_count == 1, "the next page of a table needs no ranking of its own"
     assert all(str(points) in in_notebook for points in (gain.values(best.parameters), gain.good.lower, load.good.upper))
     print_results(results)
     print_solutions([each.best for each in results.variants if each.best], results.setup.shapes)

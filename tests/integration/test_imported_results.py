@@ -84,7 +84,8 @@ def test_a_cell_has_one_value_of_a_source_and_day_until_the_source_is_deleted(ap
         with pytest.raises(InvalidInputError) as refused:
             client.import_results([row()] * 1400 + [row("summer")], **HEAD)
         assert refused.value.problems[0].field == "rows[1400].scenario"
-        assert len(client.imported("heater")) == 1
+        (imported,) = client.imported("heater")
+        assert client.imported(client.problem("heater").digest) == [imported]
         assert client.import_results([row(scores={"cost": 31.0})], **HEAD | {"date": "2026-11-21"}) == 1
         assert client.delete_imported("heater", "house 7") == 2
         assert client.imported("heater") == []

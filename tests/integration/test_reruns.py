@@ -9,7 +9,7 @@ from tests.support.changes import install
 from tests.support.computed import ComputedBackend
 from tests.support.problems import LIMITS, scored, store, submit_checked
 from tests.support.runs import WITH_ANALYSIS, influenced, rows_of, run
-from tests.support.values import numbers, present
+from tests.support.values import faulty_fields, numbers, present
 
 from drivecal.api import submission
 from drivecal.api.tables.ranking import solution_pages
@@ -185,6 +185,21 @@ def test_a_rerun_of_populations_begins_with_the_best_stored_set(
     again = submission.rerun(database, LIMITS, first.id, RerunSpecification(**{"weights": {}} | changes), None)
     ranked = by and solution_pages(StoredRanking.of(database, first), *by).solutions(0, 1)
     assert again.spec["optimizer"]["start_sets"] == [row.parameters for row in ranked or ()]
+
+
+def test_a_default_search_of_another_push_begins_with_the_best_set_of_the_first(database: Database) -> None:
+    store(database, MINE)
+    asked = SEARCH | {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 16}}
+    first = run(database, submit_checked(database, asked), ComputedBackend(driven=_driven))
+    store(database, MINE | {"problem": "another"})
+
+    def rerun(**changes: Any) -> StoredCampaign:
+        return submission.rerun(database, LIMITS, first.id, RerunSpecification(weights={}, **changes), None)
+
+    assert rerun(name="knows it").spec["optimizer"]["start_sets"] == []
+    store(database, MINE, {"model.py": "another version"})
+    assert rerun(problem="mine").spec["optimizer"]["start_sets"] == [present(first.best).parameters]
+    assert faulty_fields(rerun, problem="another") == ["problem"]
 
 
 def test_a_rerun_of_another_push_begins_with_a_set_that_it_allows(database: Database) -> None:

@@ -91,7 +91,7 @@ def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> 
     variation = counts @ values**2 / len(values) - means**2
     varied = variation > 1e-9 * values.var()  # a sample of equal values has no shares; 1e-9: rounding
     shares = (counts @ added.T / len(values))[varied] / variation[varied, np.newaxis]
-    lower, upper = np.quantile(shares, [0.025, 0.975], axis=0)
+    lower, upper = np.quantile(np.minimum(shares, 1.0), [0.025, 0.975], axis=0)  # no share is more than all
     return lower, upper
 
 

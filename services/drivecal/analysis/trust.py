@@ -511,7 +511,7 @@ def _predictions(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) 
         if not row.bases or not row.released or not row.inspected or row.limit is None:
             continue
         share, lower = (row.beyond or 0) / row.bases, row.beyond_lower_95 or 0.0
-        allowed = row.limit * row.inspected / row.released
+        allowed = min(1.0, row.limit * row.inspected / row.released)
         light: Light = "red" if lower > allowed else "amber" if share > allowed else "green"
         numbers = {"released": row.released, "limit": row.limit, "inspected": row.inspected}
         yield verdict("predictions_validated", light, row.scenario, share=share, study=study, allowed=allowed, **numbers)

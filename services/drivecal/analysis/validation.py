@@ -150,7 +150,8 @@ def design(
             break
     if not len(qualified):
         return None
-    qualified = qualified[_kept(masks, samples)]
+    kept = _kept(masks, samples)
+    qualified, covered = qualified[kept], coverage(masks[kept])
     variants = _variants(space, np.repeat(qualified, references, axis=0), constraints, generator("validation", seed, VARIANTS))
     variants = variants.reshape(len(qualified), references, len(space.n_values))
     return ValidationDesign(qualified, variants, size, covered)
@@ -176,7 +177,8 @@ class Differences:
 
 
 def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
-    """Returns the sets to keep, ascending: the first of each maximal combination, which cover all, then the first up to `samples`."""
+    """Returns the at most `samples` sets to keep, ascending: the first of each maximal combination, which cover all, the largest
+    combinations before others; then the first sets."""
     combinations, first = np.unique(masks, axis=0, return_index=True)
     every, contained = combinations.astype(np.float32), np.zeros(len(combinations), dtype=np.bool_)
     for start in range(0, len(every), ROWS):
@@ -184,6 +186,7 @@ def _kept(masks: npt.NDArray[np.bool_], samples: int) -> Indices:
         within = some @ every.T == some.sum(axis=1, keepdims=True)
         contained[start : start + ROWS] = within.sum(axis=1) > 1  # in itself in any case
     needed = first[~contained]
+    needed = needed[np.argsort(-masks[needed].sum(axis=1), kind="stable")][:samples]
     others = np.setdiff1d(np.arange(len(masks)), needed)
     kept: Indices = np.sort(np.concatenate([needed, others[: max(0, samples - len(needed))]])).astype(np.int64)
     return kept
@@ -208,7 +211,8 @@ def _latin_hypercube(n_values: Indices, size: int, drawing: np.random.Generator)
 def _variants(space: ReducibleSpace, bases: Indices, constraints: Constraints | None, drawing: np.random.Generator) -> Indices:
     """Returns a variant of each base, shape (n, n_searched). If its changes break constraints, it has a part of them, taken one after
     the other; if each one breaks some, others are drawn."""
-    rows = np.array([_variant(space, base, drawing) for base in bases], dtype=np.int64)
+    varies = space.variable(bases)
+    rows = np.array([_variant(*pair, space, drawing) for pair in zip(bases, varies, strict=True)], dtype=np.int64)
     if not constraints:
         return rows
     for _ in range(REDRAWN):
@@ -221,12 +225,12 @@ def _variants(space: ReducibleSpace, bases: Indices, constraints: Constraints | 
         changed = (kept != bases[broken]).any(axis=1)
         rows[broken[changed]] = kept[changed]
         for place in broken[~changed].tolist():
-            rows[place] = _variant(space, bases[place], drawing)
+            rows[place] = _variant(bases[place], varies[place], space, drawing)
     return rows
 
 
-def _variant(space: ReducibleSpace, base: Indices, generator: np.random.Generator) -> Indices:
-    columns = np.flatnonzero(space.variable(base[None])[0])
+def _variant(base: Indices, varies: npt.NDArray[np.bool_], space: ReducibleSpace, generator: np.random.Generator) -> Indices:
+    columns = np.flatnonzero(varies)
     chosen = columns[generator.random(len(columns)) < 0.5]
     if not chosen.size:
         chosen = generator.choice(columns, size=1)

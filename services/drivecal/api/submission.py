@@ -104,6 +104,11 @@ def rerun(
         raise ConflictError(f"campaign {first_id} is {state_of(first)}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
+    names = [stored_bundles(database)(push).manifest.problem for push in (first.spec["problem"], problem.specification.problem)]
+    if names[0] != names[1]:
+        raise InvalidInputError(
+            Problem("problem", f"the first campaign's is {names[0]}", f"give a push of it, or submit {names[1]}")
+        )
     others = database.query(moved, first.spec["problem"], problem.specification.problem)
     if held := [name for name in others if f'"{name}"' in canonical_json(document)]:
         raise InvalidInputError(Problem("problem", f"{', '.join(held)} mean other curves there", "submit lists of values"))
@@ -122,7 +127,10 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets or is to know none,
     has no room for it, ranks sets as the first one did, or can rank none before it begins."""
     chosen, wanted, weights = problem.optimization, problem.specification, problem.weights
-    if chosen is None or len(problem.start_sets) >= chosen.population or wanted.reduction.isolated:
+    if chosen is None or wanted.reduction.isolated:
+        return None
+    is_known = first.spec["problem"] == wanted.problem  # another push may simulate anew
+    if len(problem.start_sets) >= chosen.population if chosen.has_populations else is_known:
         return None
     theirs = resolved_spec(first)
     is_scored = theirs.evaluator == problem.bench.evaluator_id

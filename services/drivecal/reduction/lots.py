@@ -186,8 +186,8 @@ def most_released(lots: Iterable[tuple[SamplingPlan, int]]) -> float:
 
 @lru_cache(maxsize=4096)
 def fastest_growth(plan: SamplingPlan) -> float:
-    """Returns the largest growth rate, to a hundredth of it, for which `cost_of_an_error` is finite; the smallest of GROWTH if none is."""
-    permitted, refused = GROWTH[-1], FASTEST
+    """Returns the largest growth rate, to a hundredth of it, for which `cost_of_an_error` is finite; a very small one if none is."""
+    permitted, refused = min(GROWTH[-1], 1.0 / plan.size), FASTEST
     while refused > 1.01 * permitted:
         middle = math.sqrt(permitted * refused)
         permitted, refused = (middle, refused) if math.isfinite(cost_of_an_error(plan, middle)) else (permitted, middle)

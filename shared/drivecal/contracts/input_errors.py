@@ -26,7 +26,7 @@ _WANTED = {
     "float_type": "a number",
     "float_parsing": "a number",
     "finite_number": "a finite number",
-    "date_from_datetime_parsing": "a date, YYYY-MM-DD",
+    "date_type": "a date, YYYY-MM-DD",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
     "list_type": "a list",
@@ -110,7 +110,7 @@ def _merged(located: Sequence[tuple[tuple[int | str, ...], Detail]], model: type
             continue
         wanted = [_WANTED[detail["type"]], *(_WANTED[entry["type"]] for _, entry in others)]
         remedy = f"give {' or '.join(sorted(set(wanted), reverse=True))}"
-        merged.append(Problem(field_name(path), f"{shown(detail['input'])} does not fit", remedy))
+        merged.append(Problem(field_name(path), _unfit(detail), remedy))
     return merged
 
 
@@ -122,7 +122,7 @@ def problem(field: str, detail: Detail) -> Problem:
     if kind == "extra_forbidden":
         return Problem(field, "there is no such field", "leave it out")
     if kind in _WANTED:
-        return Problem(field, f"{given} does not fit", f"give {_WANTED[kind]}")
+        return Problem(field, _unfit(detail), f"give {_WANTED[kind]}")
     if kind in _BOUNDS:
         message, remedy = _BOUNDS[kind]
         return Problem(field, f"{given} {message}", remedy.format(**{key: _number(value) for key, value in context.items()}))
@@ -141,7 +141,13 @@ def problem(field: str, detail: Detail) -> Problem:
     if kind == "value_error":
         message, _, remedy = str(context["error"]).partition("; ")
         return Problem(field, message, remedy)
-    return Problem(field, f"{given} does not fit", detail["msg"])
+    return Problem(field, _unfit(detail), detail["msg"])
+
+
+def _unfit(detail: Detail) -> str:
+    """Returns a message that says so of a text: it may look like the number that is wanted."""
+    given = detail.get("input")
+    return f"{'the text ' if isinstance(given, str) and given else ''}{shown(given)} does not fit"
 
 
 def _known(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:

@@ -348,7 +348,8 @@ class RobustnessSpecification(Model):
     delta: Annotated[float, Field(gt=0, le=1)] = 0.01
     steps: Annotated[int, Field(ge=1, le=100)] = 10
     samples: Annotated[int, Field(ge=1, le=10_000)] = 30
-    eta: Annotated[float, Field(gt=0)] = 1.0
+    eta: Annotated[float, Field(gt=0)] | None = None
+    """By default the score's tolerance, or 1 % of its range without one; of a `mean`, 1."""
     condition: Literal["max", "mean"] = "max"
     solutions: Annotated[int, Field(ge=0, le=1000)] = 20
     """Largest number of sets with the best objective to examine, in addition to `sets`. One set of each region of the space comes first."""

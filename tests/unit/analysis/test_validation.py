@@ -89,9 +89,16 @@ def test_samples_grow_until_every_effect_is_covered_and_are_kept_as_far_as_they_
 @given(st.integers(1, 6).flatmap(lambda n: st.lists(st.lists(st.booleans(), min_size=n, max_size=n), min_size=1, max_size=40)))
 def test_what_is_kept_covers_what_all_did(rows: list[list[bool]]) -> None:
     masks = np.array([row for row in rows if any(row)] or [[True] * len(rows[0])])
+    assert coverage(masks[_kept(masks, len(masks))]) == coverage(masks)
+    assert len(_kept(masks, 3)) == min(3, len(masks))
+
+
+def test_combinations_that_the_samples_cannot_hold_are_told_as_missing() -> None:
+    single = np.eye(6, dtype=np.bool_)
+    masks = np.vstack([single, single[:1] | single[1:2]])
     kept = masks[_kept(masks, 3)]
-    assert coverage(kept) == coverage(masks)
-    assert len(kept) >= min(3, len(masks))
+    assert sorted(kept.sum(axis=1)) == [1, 1, 2]
+    assert coverage(kept).covered == coverage(masks).covered - 2
 
 
 def test_the_cap_is_kept_and_what_is_missing_is_told() -> None:

@@ -276,6 +276,17 @@ def test_constraints_on_results_name_scores_and_measures_of_the_bundle() -> None
     assert fields(constraints=[{"measure": "no", "at_least": 2}], optimizer={"kind": "surrogate"}) == {"constraints[0].measure"}
 
 
+def test_expected_runs_hold_the_further_seeds_of_random_runs_and_the_budget() -> None:
+    random = bundle(simulator={"kind": "process", "command": ["mysim"], "random": True})
+
+    def at_most(**settings: Any) -> int:
+        return resolved(random, **settings).expected_runs().calibration_at_most
+
+    one, five = ({"replicates": {"least": number, "most": number}} for number in (1, 5))
+    assert at_most(**five) > 5 * at_most(**one)
+    assert at_most(**five, budget={"simulations": 200}) == 200
+
+
 def test_robustness_studies_vary_what_a_problem_declares() -> None:
     robust = {"samples": 2, "steps": 2}
     assert fields(robustness=robust) == {"robustness"}
@@ -284,6 +295,9 @@ def test_robustness_studies_vary_what_a_problem_declares() -> None:
     assert [each.name for each in problem.bench.varied] == ["slope"]
     assert faulty_fields(resolved, bundle(varied=varied), robustness=robust | {"eta": 1e4}) == ["robustness.eta"]
     resolved(bundle(varied=varied), robustness=robust | {"eta": 1e4, "condition": "mean"})  # a share of the score
+    for condition, eta in ("max", problem.bench.scale.tolerance or 0.01 * problem.bench.scale.span), ("mean", 1.0):
+        settled = resolved(bundle(varied=varied), robustness=robust | {"condition": condition}).specification
+        assert present(settled.robustness).eta == eta
     steep = replace(problem.bench, values={"slope": 0.1})
     assert steep.requests["wet"].varied == {"slope": 0.1}
     assert len({bench.requests["wet"].session_key for bench in (problem.bench, steep, replace(steep, seed=2))}) == 1

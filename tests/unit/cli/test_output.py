@@ -111,7 +111,7 @@ def test_a_campaign_shows_all_that_matters(capsys: pytest.CaptureFixture[str]) -
         "4.0000 under 2 seeds (the best set under them: 4.5000)  P1=0 P2=1",
         "S1 5  S2 6",
         "0 started",
-        "0 of 2,000 simulations, 0.0 of 0.5 min",
+        "0 of 2,000 simulations, 0 of 0.5 min",
         "weight is 0: S3",
         "1 min 30 s since its start, pauses included; CPU time of the simulations 1 min 40 s",
     ):

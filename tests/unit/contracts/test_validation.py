@@ -30,7 +30,7 @@ def complaints(document: object, model: type[BaseModel] = CampaignSpecification)
         ({"optimizer": {"population": 1}}, "optimizer.population: 1 is too small; give at least 2"),
         ({"weights": {"S1": -1}}, "weights.S1: -1 is too small; give at least 0"),
         ({"weights": {"S1": float("nan")}}, "weights.S1: nan does not fit; give a finite number"),
-        ({"weights": {"S1": "2"}}, "weights.S1: 2 does not fit; give a number"),
+        ({"weights": {"S1": "2"}}, "weights.S1: the text 2 does not fit; give a number"),
         ({"catalogue": 5}, "catalogue: 5 does not fit; give text or a list"),
         ({"catalogue": ["S1", 5]}, "catalogue[1]: 5 does not fit; give text"),
         ({"catalogue": []}, "catalogue: a list has too few entries; give at least 1"),
@@ -60,7 +60,7 @@ def test_everything_wrong_is_said_at_once() -> None:
     assert result == [
         "name: '' is too short; give at least 1 characters",
         "problem: null does not fit; give text",
-        "parameters[0].step: 1 does not fit; give a number",
+        "parameters[0].step: the text 1 does not fit; give a number",
         "parameters[0].name: the value is missing; give it",
     ]
 

@@ -43,7 +43,7 @@ def shapes_with_good_sets(stored: StoredRanking) -> dict[str, ShapeAnswer]:
     scale = stored.resolved.scale
     near = scale.tolerance or NEAR * scale.span
     feasible = [each for each in ranked.ranked[:MOST_SETS] if each.violation == ranked.ranked[0].violation]
-    good = list(takewhile(lambda each: abs(each.objective - feasible[0].objective) <= near + 1e-9, feasible))
+    good = list(takewhile(lambda each: abs(each.choice.objective - feasible[0].choice.objective) <= near + 1e-9, feasible))
     sets = [each.parameters for each in replace(ranked, ranked=good).solutions(0, len(good))]
     for name, shape in manifest.shapes.items() if sets else ():
         values = np.array([shape.values(each) for each in sets])

@@ -22,7 +22,6 @@ from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.maintenance import deletion
-from drivecal.storage.references import runs
 
 router = APIRouter(prefix="/campaigns", tags=["campaigns"], route_class=StrictRoute)
 
@@ -80,14 +79,14 @@ def read(campaign_id: str, database: DatabaseDependency, if_none_match: IfNoneMa
         stored = campaigns.by_sequence(connection, seen.sequence)
     answer = campaign_answer(stored, moment, silent)
     if answer.curves and stored.state.ended:
-        for name, good in _good_sets(database, stored.id, database.query(runs.largest_id)).items():
+        for name, good in _good_sets(database, stored.id, stored.revision).items():
             answer.curves[name]["good"] = good
     return Response(answer.model_dump_json(), headers=headers, media_type="application/json")
 
 
 @lru_cache(maxsize=256)
-def _good_sets(database: Database, ended: str, _newest_run: int) -> dict[str, Any]:
-    """Returns the range of good sets of each curve of an ended campaign: a ranking takes long, and changes with newer runs alone."""
+def _good_sets(database: Database, ended: str, _revision: int) -> dict[str, Any]:
+    """Returns the range of good sets of each curve of an ended campaign: a ranking takes long, and the campaign's `ETag` stays."""
     shapes = shapes_with_good_sets(StoredRanking.of(database, database.query(campaigns.get, ended)))
     return {name: shape.good for name, shape in shapes.items()}
 

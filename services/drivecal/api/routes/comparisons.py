@@ -37,7 +37,7 @@ def submit(
     return database.query(compared, tag)
 
 
-@router.get("/{tag}")
+@router.get("/{tag:path}")
 @computed
 def compare(tag: str, database: DatabaseDependency) -> Comparison:
     """Compares the campaigns with a tag, as far as they are: by optimizer, population size and reduction. Campaigns of one

@@ -29,6 +29,7 @@ from drivecal.contracts.specification import ProblemSpecification
 from drivecal.contracts.strict_json import ProblemName, Source
 from drivecal.contracts.tables import ImportedRow, Kind, columns_of
 from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
+from drivecal.storage import bundles
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import imported
 from drivecal.storage.outside.imported import ImportedValues
@@ -89,11 +90,12 @@ class ImportedOf(TableOf):
 @computed
 def list_imported(query: Annotated[ImportedOf, Query()], database: DatabaseDependency, accept: Accept = "*/*") -> Response:
     """Results from elsewhere: scores and measures, their values in stored simulations of the same sets, and the differences."""
-    rows = database.query(imported.listing, query.problem, query.source)
+    problem = database.query(bundles.named, query.problem).name
+    rows = database.query(imported.listing, problem, query.source)
     values = {name: value for row in rows for name, value in row.parameters.floats.items()}
     kinds: dict[str, Kind] = {name: "text" if isinstance(value, str) else "number" for name, value in values.items()}
     columns = columns_of(ImportedRow, {"parameters": kinds})
-    return listed(f"results-{query.problem}", query, accept, columns, _beside_simulations(database, query.problem, rows))
+    return listed(f"results-{problem}", query, accept, columns, _beside_simulations(database, problem, rows))
 
 
 class SourceOf(Parameters):
@@ -108,11 +110,12 @@ def delete(query: Annotated[SourceOf, Query()], request: Request, database: Data
     """Deletes what one imported of a source; an admin deletes all of it."""
     token: Token = request.state.token
     with database.transaction() as connection:
-        known = imported.owners(connection, query.problem, query.source)
+        problem = bundles.named(connection, query.problem).name
+        known = imported.owners(connection, problem, query.source)
         own = [owner for owner in known if token.may_steer(owner)]
         for owner in () if own else known:
             refuse_others(request, query.source, owner, "source")
-        return ImportDeleted(deleted=imported.remove(connection, query.problem, query.source, own))
+        return ImportDeleted(deleted=imported.remove(connection, problem, query.source, own))
 
 
 def _check(given: ImportedResults, bench: Bench) -> None:

@@ -5,6 +5,7 @@ A score of the campaign's problem is named by its name, and a score of another p
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from sqlalchemy import Connection
 
@@ -29,9 +30,11 @@ from drivecal.domain.setups import base_of
 from drivecal.storage import campaigns, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import parameter_sets
+from drivecal.storage.references import parameter_sets, runs
 
 LARGEST_WEIGHT = 1e6
+MOST_KEPT = 300_000
+"""Cells of the largest ranking that stays in memory, some 1 kB each."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,16 @@ class SolutionPages:
 
 def ranking_of(database: Database, identifier: str, lacks: str = "") -> StoredRanking:
     """Returns the ranking of a campaign by its id. Raises NotFoundError, and ConflictError as `calibration`."""
-    campaign = database.query(campaigns.get, identifier)
-    return StoredRanking.of(database, calibration(campaign, lacks))
+    campaign = calibration(database.query(campaigns.get, identifier), lacks)
+    if campaign.state.ended and campaign.counts(StageName.CALIBRATION).requested <= MOST_KEPT:
+        return _kept(database, campaign.id, campaign.revision, database.query(runs.largest_id))
+    return StoredRanking.of(database, campaign)
+
+
+@lru_cache(maxsize=1)
+def _kept(database: Database, ended: str, _revision: int, _newest_run: int) -> StoredRanking:
+    """Returns the ranking of the ended campaign that was asked for last, for the next page of its tables. A newer run may change it."""
+    return StoredRanking.of(database, database.query(campaigns.get, ended))
 
 
 def solution_pages(stored: StoredRanking, weights: str | None = None, score: str | None = None) -> SolutionPages:

@@ -188,7 +188,10 @@ def _shares(
     unknown[f"{field}.weights"] = [name for name in given.weights if name not in [bases[each] for each in chosen]]
     for place, names in unknown.items():
         for name in names:
-            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", f"one of {', '.join(chosen or weights)}")
+            known = list(
+                dict.fromkeys(bases.values() if place.endswith("scenarios") else (bases[each] for each in chosen or weights))
+            )
+            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", nearest(name, known))
     if any(unknown.values()):
         return None
     if chosen == list(weights) and not given.weights:

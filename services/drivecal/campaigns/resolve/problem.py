@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis.goals import Goals, normalised
-from drivecal.analysis.replicates import FEWEST_REPORTING, choosing, fewest, kept_back, rate_bounds
+from drivecal.analysis.replicates import FEWEST_REPORTING, KEPT, choosing, fewest, kept_back, rate_bounds
 from drivecal.campaigns.resolve import resolvers
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.campaigns.resolve.goals import check_reuse, find_goals, normalise_weights, note_lost
@@ -253,6 +253,13 @@ class CalibrationProblem:
         proposed = requested = 0
         if chosen is not None:
             proposed, requested = chosen.expected_cells(len(self.scenarios))
+            budget = None if chosen.budget is None else chosen.budget.simulations
+            if self.bench.is_random and chosen.iterations is not None:
+                further = requested * (self.least_replicates - 1)
+                if (most := self.specification.replicates.most) > 1:  # what a budget would keep for them
+                    further += ceil(KEPT / (1.0 - KEPT) * (requested + further)) + most * len(self.scenarios)
+                proposed, requested = proposed + further, requested + further
+            requested = requested if budget is None else min(requested, budget)
         phases = {} if analysis is None else analysis.expected_runs()
         return ExpectedRuns(
             problem=self.specification.problem,
@@ -357,6 +364,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     make, space, allowed = diagnostics.found(workbench.make), diagnostics.found(space), diagnostics.found(constraints)
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
+    specification = resolvers.with_eta(specification, bench.scale)
     resolvers.check_units(specification, bench.scale, diagnostics)
     notes += resolvers.note_threshold(specification, bench.scale)
     if bench.is_random:

@@ -40,7 +40,7 @@ class Alternatives:
 
 def alternatives(database: Database, ranking: Sequence[EvaluatedSet], space: ParameterSpace) -> Alternatives:
     """The first sets of a `ranking`, best first, that share the best objective: at most MOST_BEST."""
-    alike = (each.equals(ranking[0]) for each in ranking)
+    alike = (each.choice.equals(ranking[0].choice) for each in ranking)
     equal = sum(1 for _ in takewhile(bool, alike))
     best, worse = ranking[: min(equal, MOST_BEST)], ranking[equal : equal + MOST_WORSE]
     sets = database.query(parameter_sets.load, [solution.parameter_set for solution in (*best, *worse)])

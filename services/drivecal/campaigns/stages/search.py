@@ -387,5 +387,6 @@ class ComputedSearch(SearchStage):
                 self._save(connection)
         if asked is None and self._ranking.best() is None:
             failed = CellCounts(**self._tracker.counts).failed
-            raise NoResultError(f"no parameter set has a result in every scenario; {failed:,} cells have none{self._causes()}")
+            why = f"{failed:,} cells have none{self._causes()}" if failed else "the search ended before the first: give it more"
+            raise NoResultError(f"no parameter set has a result in every scenario; {why}")
         return asked

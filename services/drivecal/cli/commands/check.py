@@ -255,7 +255,7 @@ def check(
     settings = {name: spec[name] for name in copied if name in spec} | {"problem": known.digest}
     settings["vehicle"] = _vehicle(settings, differing)
     first = min(reported, default=1)  # a set looks better than it is under the seeds before, which chose it
-    settings["seeds"] = list(range(first, first + seeds)) if seeds else list(reported) or 1
+    settings["seeds"] = list(range(first, first + seeds)) if seeds and reported else seeds or list(reported) or 1
     listed = settings.get("catalogue") or known.scenarios
     _refuse_another_form(given, known)
     own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed, rates=seeds is not None)

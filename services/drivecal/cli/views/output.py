@@ -119,7 +119,7 @@ def print_campaign(campaign: Campaign) -> None:
     hidden = {name for curve in campaign.curves.values() for name in curve["names"]}
     if campaign.baseline:
         ended = CampaignState(campaign.state).ended
-        missing = "no objective: a scenario did not run, has no result, or lacks a measure" if ended else "no result yet"
+        missing = "not rated: a run is missing, or lacks a measure of an objective or constraint" if ended else "no result yet"
         parameters = parameters_text(campaign.baseline.parameters, None, hidden)
         lines.append(("baseline", f"{judged_text(campaign.baseline, missing)}{_beside_text(campaign)}  {parameters}"))
     if campaign.best:
@@ -209,7 +209,8 @@ def _search_text(campaign: Campaign) -> str:
     """Returns what the search has used of its budget, and its end."""
     limits = {name: f" of {limit:,.10g}" for name, limit in (campaign.budget or {}).items() if limit is not None}
     simulations, minutes = limits.get("simulations", ""), limits.get("minutes", "")
-    text = f"{campaign.spent.simulations:,}{simulations} simulations, {campaign.spent.minutes:.1f}{minutes} min of searching"
+    spent = round(campaign.spent.minutes, 1 if campaign.spent.minutes >= 1.0 else 2)
+    text = f"{campaign.spent.simulations:,}{simulations} simulations, {spent:,.10g}{minutes} min of searching"
     stored = campaign.cells.repeated + campaign.cells.reused
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
         text += f"; {campaign.cells.requested:,}{simulations} cells asked for, {stored:,} stored answers among them"

@@ -55,7 +55,7 @@ def _translate(error: BaseException | None, database: str) -> DrivecalError | No
             return UnavailableError(f"{database} cannot be opened for writing; check that the file and its folder are writable")
         if code in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
             return UnavailableError(
-                f"the database {database} is locked by another process that writes to it; try again, and end whatever else has it open"
+                f"the database {database} is locked: drivecal stores a large iteration, or another process has it open; try again"
             )
         if code in _FOR_NOW:
             return UnavailableError(f"the database {database} cannot be used at the moment: {error}")

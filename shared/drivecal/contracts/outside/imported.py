@@ -13,6 +13,14 @@ MOST_CELLS = 10_000
 """Cells of a look-up."""
 
 
+def _day(given: object) -> object:
+    """Returns the day of a text; a text that is none as it is."""
+    try:
+        return Date.fromisoformat(given) if isinstance(given, str) else given
+    except ValueError:
+        return given
+
+
 class ResultLookup(Model):
     """Parameter sets whose stored results are wanted, each in all scenarios of the catalogue. Nothing is simulated."""
 
@@ -67,7 +75,7 @@ class ImportedResults(Model):
 
     problem: ProblemName
     source: Source
-    date: Annotated[Date, BeforeValidator(lambda given: Date.fromisoformat(given) if isinstance(given, str) else given)]
+    date: Annotated[Date, BeforeValidator(_day)]
     units: Annotated[dict[Identifier, str], Field(max_length=600, default_factory=dict)]
     """Units of parameters and measures; they have to be the problem's own."""
     rows: Annotated[list[ImportedCell], Field(min_length=1, max_length=MOST_ROWS)]
