@@ -359,6 +359,11 @@ class RobustnessSpecification(Model):
     """The id of an ended campaign whose best sets are examined, if this one has no optimizer."""
     seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
 
+    def on(self, scale: Scale) -> "RobustnessSpecification":
+        """Returns the settings with a number as `eta`."""
+        eta = self.eta or (1.0 if self.condition == "mean" else scale.tolerance or 0.01 * scale.span)
+        return self.model_copy(update={"eta": eta})
+
 
 class ValidationSpecification(Model):
     """A check of results that the influence map allows to reuse (Section V), or of released predictions `of` an ended campaign.

@@ -364,7 +364,8 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     make, space, allowed = diagnostics.found(workbench.make), diagnostics.found(space), diagnostics.found(constraints)
     specification = specification.model_copy(update=dict(workbench.settled) | settled_search(specification, optimization))
     bench = replace(make(weights, variants.vehicles), repeat=specification.reduction.repeat)
-    specification = resolvers.with_eta(specification, bench.scale)
+    if specification.robustness is not None:
+        specification = specification.model_copy(update={"robustness": specification.robustness.on(bench.scale)})
     resolvers.check_units(specification, bench.scale, diagnostics)
     notes += resolvers.note_threshold(specification, bench.scale)
     if bench.is_random:

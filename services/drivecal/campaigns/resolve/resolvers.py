@@ -123,15 +123,6 @@ def find_robust_sets(
     return tuple(dict.fromkeys(parameter_set for parameter_set in named if parameter_set is not None))
 
 
-def with_eta(specification: CampaignSpecification, scale: Scale) -> CampaignSpecification:
-    """Returns the specification with a number as the `eta` of its robustness study, if it has one."""
-    wanted = specification.robustness
-    if wanted is None or wanted.eta is not None:
-        return specification
-    eta = 1.0 if wanted.condition == "mean" else scale.tolerance or 0.01 * scale.span
-    return specification.model_copy(update={"robustness": wanted.model_copy(update={"eta": eta})})
-
-
 def check_units(specification: CampaignSpecification, scale: Scale, diagnostics: Diagnostics) -> None:
     """Adds a problem for every difference of scores that is wider than their range."""
     wanted = specification.robustness
