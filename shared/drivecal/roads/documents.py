@@ -147,7 +147,7 @@ def read_elements(
         parser.Parse(content, True)  # expat's own signature
     except expat.ExpatError as error:
         message = f"line {error.lineno}: no well-formed XML: {expat.ErrorString(error.code)}"
-        raise InvalidInputError(Problem(name, message, "write the file again with the program that made it")) from error
+        raise InvalidInputError(Problem(name, message, "save it in the encoding that it declares, or make it again")) from error
     except (LookupError, ValueError) as error:
         if elements:  # a fault of the caller: the encoding is known before the first element
             raise

@@ -357,5 +357,6 @@ def ignore_controller(kind: Element, notes: Notes) -> None:
 
 def ignore_global(action: Element, notes: Notes) -> None:
     """Notes an action of the surroundings without effect on the traffic. Raises InvalidInputError for others."""
-    action.only("EnvironmentAction", "InfrastructureAction", "VariableAction", "ParameterAction").skip()
-    notes.add(action, "ignored")
+    kind = action.only("EnvironmentAction", "InfrastructureAction", "VariableAction", "ParameterAction")
+    kind.skip()
+    notes.add(action, "ignored" if kind.element != "ParameterAction" else "ignored: conditions know the declared value")
