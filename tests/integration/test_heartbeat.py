@@ -17,6 +17,8 @@ from drivecal.dispatch.heartbeat import (
     COMPUTING_SHARE,
     HUNG_AFTER_SECONDS,
     LONGEST_TRAINING_SECONDS,
+    STARTING,
+    STARTING_SECONDS,
     STUCK_AFTER_SECONDS,
     Heartbeat,
     Leadership,
@@ -60,6 +62,19 @@ def test_it_says_how_the_workers_are_and_running_campaigns_what_is_wrong(databas
     heartbeat.beat()
     assert get(database, running).degraded is None
     assert reported(database).detail["degraded"] is None
+
+
+def test_a_start_is_no_trouble_of_running_campaigns_unless_it_takes_long(database: Database) -> None:
+    running, now = submit(database), [0.0]
+    with database.transaction() as connection:
+        campaigns.start(connection, running.sequence)
+    heartbeat = heartbeat_of(database, clock=lambda: now[0])
+    for seconds, degraded in (0.0, None), (STARTING_SECONDS + 1, STARTING[1]):
+        now[0] = seconds
+        heartbeat.report((), STARTING[1])
+        heartbeat.beat()
+        assert reported(database).detail["degraded"] == STARTING[1]
+        assert get(database, running).degraded == degraded
 
 
 def test_it_beats_while_the_main_thread_is_busy_and_says_since_when(database: Database) -> None:

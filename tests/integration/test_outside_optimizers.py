@@ -19,6 +19,7 @@ from tests.support.runs import dispatcher, get, submit, working
 from tests.support.serve import until
 from tests.support.server import RunningApi, new_database, problem_of, serving
 from tests.support.tree import PROJECT, loaded
+from tests.support.values import faulty_fields
 
 from drivecal.client import Client
 from drivecal.client.outside import _key
@@ -353,6 +354,11 @@ def test_a_program_that_starts_again_goes_on_without_new_simulations(sqlite: Run
         own = client.submit(SPEC | {"optimizer": {"kind": "genetic"}})
         with pytest.raises(ConflictError):
             client.ask_tell(resume=own.id)
+        assert faulty_fields(client.ask_tell, SPEC | {"optimizer": {"kind": "genetic"}}) == ["optimizer.kind"]
+        budget = {"budget": {"simulations": np.int64(7)}, "optimizer": {"start_sets": []}}
+        assert client.ask_tell(SPEC | budget).campaign.spec["optimizer"]["kind"] == "external"
+        assert faulty_fields(client.submit, {"budget": Path()}) == [""]
+        assert faulty_fields(client.evaluation, "16") == ["identifier"]
     assert whole[0] == whole[-1]
     assert _key({"tank": cast("Any", np.array([1.0, 2.5]))}) == _key({"tank": [1.0, 2.5]})
     assert campaign.best is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
@@ -27,7 +28,7 @@ from tests.support.values import faults_of, present
 from drivecal.analysis.robustness import directions, vehicles
 from drivecal.api.results.document import results_of
 from drivecal.api.tables.front import front_table, summary
-from drivecal.api.tables.ranking import variants_of
+from drivecal.api.tables.ranking import ranking_of, variants_of
 from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.campaigns.stages.replication import Replication
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
@@ -128,6 +129,19 @@ def test_the_best_set_is_known_by_runs_and_reported_by_others(database: Database
     assert runs == Counter(row.purpose for row in rows if row.runs) | {"start": 2, "report": 16 + 6}
     assert {row.seed > 12 for row in rows if row.purpose == "report"} == {True}
     assert runs.keys() == {"start", "search", "choice", "report"}
+
+
+def test_a_ranking_that_several_requests_look_at_first_is_the_same_for_all(database: Database) -> None:
+    ended = carried_out(database, optimizer=POPULATIONS)
+    stored = StoredRanking.of(database, ended)
+    expected = [each.parameter_set for each in stored.sets.best_first()]
+
+    def asked(_: int) -> list[int]:
+        return [each.parameter_set for each in ranking_of(database, ended.id).sets.best_first()]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(asked, range(4))) == [expected] * 4
+    assert [member.solution.parameter_set for member in front_of(stored).members] == expected[:1]
 
 
 def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Database) -> None:

@@ -199,6 +199,7 @@ def test_a_default_search_of_another_push_begins_with_the_best_set_of_the_first(
     assert rerun(name="knows it").spec["optimizer"]["start_sets"] == []
     store(database, MINE, {"model.py": "another version"})
     assert rerun(problem="mine").spec["optimizer"]["start_sets"] == [present(first.best).parameters]
+    assert rerun(problem="mine", optimizer={"kind": "external"}).spec["optimizer"]["start_sets"] == []
     assert faulty_fields(rerun, problem="another") == ["problem"]
 
 

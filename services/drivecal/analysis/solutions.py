@@ -462,7 +462,8 @@ class Ranking:
 
     def front(self) -> list[FrontMember]:
         """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
-        scores are all its own, then the first of the ranking. Infeasible ones only while no set is feasible."""
+        scores are all its own, then the first of the ranking. Infeasible ones only while none is feasible. Of one objective the best."""
+        self._assess()
         return self._front(self._solutions.values())
 
     def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
@@ -502,6 +503,9 @@ class Ranking:
             return []
         points = self._goals.signed(each.choice.judgement for each in judged)
         kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
+        if not self._goals.is_vector and any(each.bound is not None for each in judged):  # the best sample is luck
+            least = min(self.order(each)[:2] for each in judged)
+            kept = np.array([self.order(each)[:2] == least for each in judged])
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place]))
         alike = [[judged[ordered[place]] for place in group] for group in self._alike(points[ordered])]
         members = [

@@ -194,13 +194,17 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
         yield from _chosen(campaign, chosen, search)
-        yield from _course(campaign, search)
+        yield from _course(campaign, search, is_random=known.is_random)
     elif front is not None:
         yield from (*_constraints(campaign, known, " by the first objective"), *_front(campaign, front))
         yield from _seen(campaign, search)
     else:
         yield from _constraints(campaign, known)
-        yield from (*_confirmation(campaign), *_baseline(campaign, known), *_course(campaign, search))
+        yield from (
+            *_confirmation(campaign),
+            *_baseline(campaign, known),
+            *_course(campaign, search, is_random=known.is_random),
+        )
     if chosen is None and campaign.best is not None:
         yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best.parameters, search)
 
@@ -359,13 +363,13 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield verdict("better_than_baseline", "green", gain=gain, under=under)
 
 
-def _course(campaign: Campaign, search: SearchCourse | None) -> Iterator[ResultVerdict]:
+def _course(campaign: Campaign, search: SearchCourse | None, *, is_random: bool) -> Iterator[ResultVerdict]:
     if search is None or campaign.best is None:
         return
     yield from _seen(campaign, search)
     if search.regions is not None:
         yield verdict("optima", "neutral", sets=campaign.best.alternatives, regions=search.regions)
-    yield from _convergence(search.course) if campaign.budget is None else _ended(campaign, search.course)
+    yield from _convergence(search.course) if campaign.budget is None else _ended(campaign, search.course, is_random=is_random)
     if CampaignState(campaign.state) is not CampaignState.SUCCEEDED:
         return
     if improved_last(search.course) and not _has_outlook(campaign):
@@ -400,14 +404,14 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
         yield verdict("budget", "neutral", used=", ".join(used))
 
 
-def _ended(campaign: Campaign, course: Course) -> Iterator[ResultVerdict]:
-    """Yields what ended a search with a budget. Its rounds are no generations, so that the paper's criteria say nothing."""
+def _ended(campaign: Campaign, course: Course, *, is_random: bool) -> Iterator[ResultVerdict]:
+    """Yields what ended a search with a budget. Its rounds are no generations: the paper's criteria say nothing. Luck foretells nothing."""
     if campaign.ended_by not in {None, "cancelled"} and course:
         best = [each.best for each in course]
         share = last_change(best) / len(course)
         stood = campaign.ended_by == "stagnation"  # for as long as its user chose
         yield verdict("ended", "green" if stood else "neutral", by=campaign.ended_by, share=share)
-        if not _has_outlook(campaign) or (gain := expected_gain(best)) is None:
+        if is_random or not _has_outlook(campaign) or (gain := expected_gain(best)) is None:
             return
         light: Light | Literal["neutral"] = "neutral" if stood else "amber"
         simulated, stored, requested = campaign.spent.simulations, campaign.cells.repeated, campaign.cells.requested

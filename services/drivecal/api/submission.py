@@ -33,6 +33,7 @@ from drivecal.contracts.specification import (
 )
 from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, NotFoundError, Problem
 from drivecal.domain.setups import canonical_json, digest
+from drivecal.optimizers.built_in import External
 from drivecal.storage import admission, campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -124,13 +125,12 @@ def rerun(
 
 
 def _best_before(database: Database, first: StoredCampaign, problem: CalibrationProblem) -> dict[str, Any] | None:
-    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets or is to know none,
-    has no room for it, ranks sets as the first one did, or can rank none before it begins."""
+    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets (one by the cell does,
+    after an equal push) or is to know none, has no room for it, ranks sets as the first one did, or can rank none before it begins."""
     chosen, wanted, weights = problem.optimization, problem.specification, problem.weights
-    if chosen is None or wanted.reduction.isolated:
+    if chosen is None or isinstance(chosen.plugin, External) or wanted.reduction.isolated:
         return None
-    is_known = first.spec["problem"] == wanted.problem  # another push may simulate anew
-    if len(problem.start_sets) >= chosen.population if chosen.has_populations else is_known:
+    if len(problem.start_sets) >= chosen.population if chosen.has_populations else first.spec["problem"] == wanted.problem:
         return None
     theirs = resolved_spec(first)
     is_scored = theirs.evaluator == problem.bench.evaluator_id

@@ -56,7 +56,7 @@ from drivecal.contracts.tables import (
     TableName,
     ValidationRow,
 )
-from drivecal.domain.errors import ConflictError, OverloadError, Problem, restated
+from drivecal.domain.errors import ConflictError, InvalidInputError, OverloadError, Problem, restated
 
 if TYPE_CHECKING:
     from drivecal.configuration.problems import Pushed
@@ -214,7 +214,10 @@ class Client(Transport):
                 raise ConflictError(f"campaign {campaign.id} proposes its sets itself; resume another one")
             return AskTell(self, campaign)
         document = dict(plain({} if specification is None else specification))
-        return AskTell(self, self.submit({"optimizer": {"kind": "external"}} | document))
+        document["optimizer"] = {"kind": "external"} | dict(document.get("optimizer") or {})
+        if (kind := document["optimizer"]["kind"]) != "external":
+            raise InvalidInputError(Problem("optimizer.kind", f"{kind} proposes its sets itself", "leave it out"))
+        return AskTell(self, self.submit(document))
 
     def propose(self, identifier: str, sets: Sequence[Mapping[str, Any]]) -> AcceptedSets:
         """Sends up to 1,000 sets to a campaign with an external optimizer: `{"key": "a1", "parameters": {...}}`. Once per key."""
@@ -394,9 +397,9 @@ class Client(Transport):
             date: Day of the results, YYYY-MM-DD.
             units: Units of parameters and measures, refused if the problem has others.
         """
-        head = {"problem": problem, "source": source, "date": date, "units": dict(units or {})}
+        head = {"problem": problem, "source": source, "date": str(date), "units": dict(units or {})}
         stored = first = 0
-        for piece in in_pieces(rows):
+        for piece in in_pieces(list(rows)):
             with restated(partial(_moved, first)):
                 stored += _noted(self._call(ImportAnswer, "POST", "results", document={**head, "rows": list(piece)})).stored
             first += len(piece)
@@ -412,6 +415,8 @@ class Client(Transport):
 
     def evaluation(self, identifier: str) -> Evaluation:
         """Returns a single evaluation by the id that `evaluate` returned."""
+        if str(identifier).isdecimal() and len(str(identifier)) < 32:
+            raise InvalidInputError(Problem("identifier", "it is the number of a row", "give the id that `evaluate` returned"))
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:

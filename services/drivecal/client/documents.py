@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from drivecal.configuration.documents import read_document
 from drivecal.contracts.outside.sets import MOST_SETS
+from drivecal.domain.errors import InvalidInputError, Problem
 
 Document = Mapping[str, Any] | BaseModel | str | PathLike[str]
 """A submitted document: plain data, a specification of `drivecal.contracts`, or the path of a YAML or JSON file."""
@@ -20,7 +21,17 @@ def plain(document: Document) -> Mapping[str, Any]:
     """Returns the body of a call. Raises InvalidInputError as `read_document`."""
     if isinstance(document, BaseModel):
         return document.model_dump(mode="json", exclude_unset=True)
-    return document if isinstance(document, Mapping) else read_document(str(document))
+    if isinstance(document, (str, PathLike)):
+        return read_document(str(document))
+    try:
+        return dict(json.loads(json.dumps(document, default=listed)))
+    except (TypeError, ValueError) as error:
+        raise InvalidInputError(Problem("", str(error), "give a mapping of texts, numbers, lists and mappings")) from error
+
+
+def listed(value: Any) -> Any:
+    """Returns numbers and arrays of numpy as numbers and lists. Raises TypeError for what is no number."""
+    return value.tolist() if hasattr(value, "tolist") else float(value)
 
 
 def query_of(given: Mapping[str, Any]) -> dict[str, Any]:

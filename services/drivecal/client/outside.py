@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, Self
 
-from drivecal.client.documents import in_pieces
+from drivecal.client.documents import in_pieces, listed
 from drivecal.contracts.campaign import Campaign
 from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CellAnswered
 from drivecal.contracts.specification import Given
@@ -129,8 +129,5 @@ def _key(parameters: Parameters) -> str:
 
 
 def _text(parameters: Parameters) -> str:
-    """Returns a set as JSON; numbers and arrays of numpy are numbers and lists."""
-    return json.dumps(
-        {name: parameters[name] for name in sorted(parameters)},
-        default=lambda value: getattr(value, "tolist", lambda: float(value))(),
-    )
+    """Returns a set as JSON."""
+    return json.dumps({name: parameters[name] for name in sorted(parameters)}, default=listed)

@@ -207,6 +207,8 @@ class Transport:
     def _post(
         self, model: type[Answer], *place: str, document: Document | None = None, key: str | None = None, **query: Any
     ) -> Answer:
+        if key and not (isinstance(key, str) and key.isascii() and key.isprintable()):
+            raise InvalidInputError(Problem("key", f"{key!r} cannot be a key", "give letters and digits"))
         headers = {"Idempotency-Key": key} if key else {}
         # Actions on a campaign (no document) and counting (validate_only) may be repeated as well.
         again = document is None or bool(key or query)
@@ -299,12 +301,12 @@ def path_of(parts: Sequence[str]) -> str:
     for part in parts:
         if part in {"", ".", ".."}:
             raise InvalidInputError(Problem(repr(part), "it names nothing", "give an identifier"))
-    return "/api/v1/" + "/".join(quote(part, safe="", errors="replace") for part in parts)
+    return "/api/v1/" + "/".join(quote(str(part), safe="", errors="replace") for part in parts)  # cells have numbers
 
 
 def named(place: Sequence[str]) -> tuple[str, str]:
     """Returns the kind and the identifier of the object at a place; both empty for a list."""
-    return (KINDS[place[0]], place[1]) if len(place) > 1 else ("", "")
+    return (KINDS[place[0]], str(place[1])) if len(place) > 1 else ("", "")
 
 
 def _pause(response: httpx.Response) -> float | None:

@@ -10,13 +10,8 @@ def arrow_schema(columns: Sequence[Column]) -> Any:
     """Returns the `pyarrow.Schema` of a file with these columns. Raises ModuleNotFoundError without pyarrow."""
     import pyarrow as pa  # takes a while and memory; most processes never need it
 
-    types = {
-        "integer": pa.int64(),
-        "number": pa.float64(),
-        "text": pa.string(),
-        "truth": pa.bool_(),
-        "numbers": pa.list_(pa.float64()),
-    }
+    types = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string(), "truth": pa.bool_()}
+    types["numbers"] = pa.list_(pa.float64())
     return pa.schema([(column.name, types[column.kind]) for column in columns])
 
 

@@ -21,7 +21,7 @@ from drivecal.cluster import pulse
 from drivecal.configuration import logs, memory
 from drivecal.configuration.settings import Settings, load_settings
 from drivecal.dispatch.dispatcher import Dispatcher
-from drivecal.dispatch.heartbeat import Heartbeat, Leadership
+from drivecal.dispatch.heartbeat import STARTING, Heartbeat, Leadership
 from drivecal.dispatch.webhook import Webhook
 from drivecal.domain.errors import DrivecalError, UnavailableError
 from drivecal.execution.backend import BackendLostError
@@ -87,7 +87,7 @@ def _dispatch(
     settings: Settings, database: Database, leadership: Leadership, heartbeat: Heartbeat, stop: threading.Event
 ) -> None:
     address = settings.ray_address
-    heartbeat.report((), "the workers are being started" if address is None else f"waiting for the Ray cluster at {address}")
+    heartbeat.report((), STARTING[1] if address is None else f"waiting for the Ray cluster at {address}")
     backend = _awaited("workers", lambda: _backend(settings, database), stop, lambda words: heartbeat.report((), words))
     if backend is None:
         return

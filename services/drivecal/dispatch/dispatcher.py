@@ -249,10 +249,12 @@ class Dispatcher:
             traces.prune(connection, now() - TRACES_KEPT, MOST_TRACES)
         for active, _ in stalled:
             active.stalled = True
-        if more := next(self._removal, False):
-            return more
-        self._removal = deletion.removal(self._database)
-        return next(self._removal, False)
+        with suppress(UnavailableError):  # of a lock: there is no hurry
+            if next(self._removal, False):
+                return True
+            self._removal = deletion.removal(self._database)
+            return next(self._removal, False)
+        return False
 
     def _newly_stalled(self) -> list[tuple[Active, str]]:
         """Returns the campaigns whose cells have all waited for long, each with the reason; each stall once."""

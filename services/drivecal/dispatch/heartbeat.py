@@ -54,6 +54,8 @@ class Leadership:
 
 
 EVERY_SECONDS = 1.0
+STARTING, STARTING_SECONDS = ("the dispatcher is starting", "the workers are being started"), 60.0
+"""Troubles of each start, which are none of a campaign's for a while."""
 STUCK_AFTER_SECONDS = 12.0
 """Time limit of a main-thread step before it is reported; resuming a campaign on a large reference table may take long."""
 HUNG_AFTER_SECONDS = 180.0
@@ -101,8 +103,8 @@ class Heartbeat:
         self._database = database
         self._leadership = leadership
         self._renew_lock = renew_lock
-        self._clock = clock
-        self._report = _Report((), "the dispatcher is starting", Waits(), clock(), now())
+        self._clock, self._begun = clock, clock()
+        self._report = _Report((), STARTING[0], Waits(), clock(), now())
         self._written: _Report | None = None
         self._failure: BaseException | None = None
         self._reachable = True
@@ -152,7 +154,8 @@ class Heartbeat:
         with self._database.transaction() as connection:  # separate: it may wait for the main thread's writes
             working = {CampaignState.RUNNING, CampaignState.CANCELLING}
             running = [campaign.sequence for campaign in campaigns.active(connection) if campaign.state in working]
-            campaigns.degrade(connection, running, detail["degraded"])
+            if report.trouble not in STARTING or self._clock() > self._begun + STARTING_SECONDS:
+                campaigns.degrade(connection, running, detail["degraded"])
             campaigns.explain(connection, report.waits.campaigns)
         self._written = report
 

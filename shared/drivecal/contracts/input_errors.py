@@ -145,7 +145,7 @@ def problem(field: str, detail: Detail) -> Problem:
 
 
 def _unfit(detail: Detail) -> str:
-    """Returns a message that says so of a text: it may look like the number that is wanted."""
+    """Returns the message for a value of another type: of a text, which may look like a number, that it is one."""
     given = detail.get("input")
     return f"{'the text ' if isinstance(given, str) and given else ''}{shown(given)} does not fit"
 

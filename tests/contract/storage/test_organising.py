@@ -11,9 +11,9 @@ from tests.support.storage import EVALUATOR, campaign, cell, new_run, sample_set
 from tests.support.values import faults_of
 
 from drivecal.contracts.specification import CampaignChanges
-from drivecal.domain.campaigns import CampaignState
+from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.storage import campaigns, evaluations
+from drivecal.storage import campaigns, evaluations, studies
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
@@ -150,8 +150,10 @@ def test_an_interrupted_deletion_goes_on(database: Database, monkeypatch: pytest
         setup, sets = setup_id(connection), sample_set_ids(connection, 3)
         evaluations.insert(connection, first.sequence, [cell(n, setup, one) for n, one in enumerate(sets)])
         campaigns.end(connection, first.sequence, CampaignState.CANCELLED)
+        studies.save(connection, first.sequence, StageName.ROBUSTNESS, {"items": []})
         delete_campaign(connection, first.id)
         assert listed(connection) == []
+        assert studies.about(connection, first.id, first.sequence, None) == []
     monkeypatch.setattr(deletion, "SLICE", 2)
     assert next(deletion.removal(database))
     assert cells(database, first) == 1

@@ -187,6 +187,15 @@ def test_hard_shoulders_are_closed_to_cars() -> None:
     assert any(lane.width == pytest.approx(2.85) for lane in closed)
 
 
+def test_virtual_junctions_and_endings_in_capitals_are_read() -> None:
+    connection = '<connection id="0" type="virtual"><predecessor elementType="road" elementId="5" elementS="9"/></connection>'
+    junction = f'<junction id="77" name="v" type="virtual" mainRoad="5" sStart="9" sEnd="12">{connection}</junction>'
+    made = converted(edited("two_way", "</OpenDRIVE>", f"{junction}</OpenDRIVE>"), "ROAD.XODR")
+    assert read_network(made.network, NAME).edges.keys() == read_network(conversion_of("two_way").network, NAME).edges.keys()
+    assert any("junction 77" in note for note in made.notes)
+    assert network_file("ROAD.XODR") == "ROAD.XODR.net.xml"
+
+
 def test_lanes_may_stand_in_any_order() -> None:
     left = r'(<left>)(<lane id="2".*?</lane>)(<lane id="1".*?</lane>)(</left>)'
     swapped = edited("two_way", left, r"\1\3\2\4", count=0)

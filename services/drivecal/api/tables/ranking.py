@@ -6,6 +6,7 @@ A score of the campaign's problem is named by its name, and a score of another p
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from threading import Lock
 
 from sqlalchemy import Connection
 
@@ -33,8 +34,9 @@ from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets, runs
 
 LARGEST_WEIGHT = 1e6
-MOST_KEPT = 300_000
+MOST_KEPT = 200_000
 """Cells of the largest ranking that stays in memory, some 1 kB each."""
+_ranking = Lock()
 
 
 @dataclass(frozen=True)
@@ -70,9 +72,12 @@ class SolutionPages:
 def ranking_of(database: Database, identifier: str, lacks: str = "") -> StoredRanking:
     """Returns the ranking of a campaign by its id. Raises NotFoundError, and ConflictError as `calibration`."""
     campaign = calibration(database.query(campaigns.get, identifier), lacks)
-    if campaign.state.ended and campaign.counts(StageName.CALIBRATION).requested <= MOST_KEPT:
-        return _kept(database, campaign.id, campaign.revision, database.query(runs.largest_id))
-    return StoredRanking.of(database, campaign)
+    if not campaign.state.ended or campaign.counts(StageName.CALIBRATION).requested > MOST_KEPT:
+        return StoredRanking.of(database, campaign)
+    with _ranking:  # the first look at a ranking changes it
+        stored = _kept(database, campaign.id, campaign.revision, database.query(runs.largest_id))
+        stored.sets.best_first()
+    return stored
 
 
 @lru_cache(maxsize=1)

@@ -257,7 +257,9 @@ class CalibrationProblem:
             if self.bench.is_random and chosen.iterations is not None:
                 further = requested * (self.least_replicates - 1)
                 if (most := self.specification.replicates.most) > 1:  # what a budget would keep for them
-                    further += ceil(KEPT / (1.0 - KEPT) * (requested + further)) + most * len(self.scenarios)
+                    least = fewest(len(self.scenarios), most, self.fewest_seeds, self.scenarios_of_variants)
+                    reports = (most + len(self.baseline_seeds)) * len(self.scenarios)
+                    further += max(least, ceil(KEPT / (1.0 - KEPT) * (requested + further))) + reports
                 proposed, requested = proposed + further, requested + further
             requested = requested if budget is None else min(requested, budget)
         phases = {} if analysis is None else analysis.expected_runs()

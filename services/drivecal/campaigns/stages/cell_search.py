@@ -160,9 +160,10 @@ def _search_task(
 
 
 def _most_cells(runs: int, problem: CalibrationProblem) -> int:
-    """Returns the cells that a search may ask for in a budget of runs: some run twice, unless there is one set only."""
-    share = problem.bench.repeated_share
-    return max(runs - math.ceil(runs * share / (1.0 + share)), min(runs, len(problem.scenarios) * problem.least_replicates))
+    """Returns the cells that a search may ask for in a budget of runs: some run twice, unless that would cost it a set."""
+    share, size = problem.bench.repeated_share, len(problem.scenarios) * problem.least_replicates
+    most = runs - math.ceil(runs * share / (1.0 + share))
+    return min(runs, -(-most // size) * size)
 
 
 def _newest(known: Sequence[CellAnswer]) -> list[CellAnswer]:

@@ -11,6 +11,7 @@ The mark is one transaction. Everything else goes later, in small pieces, so tha
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 from sqlalchemy import Connection, delete, exists, func, select, update
 
 from drivecal.domain.errors import ConflictError
@@ -82,32 +83,28 @@ def delete_campaign(connection: Connection, campaign_id: str) -> None:
 
 def removal(database: Database) -> Iterator[bool]:
     """Removes what deleted campaigns left, and yields True after each piece. If it was interrupted, a new one goes on."""
-    marked = select(campaigns.c.sequence).where(campaigns.c.requested_action == _REMOVE, campaigns.c.deleted_at.is_not(None))
     with database.read() as connection:
-        left = list(connection.scalars(marked))
+        marked = campaigns.c.requested_action == _REMOVE, campaigns.c.deleted_at.is_not(None)
+        left = list(connection.scalars(select(campaigns.c.sequence).where(*marked)))
     for sequence in left:
-        yield from _remove_cells(database, sequence)
+        with database.read() as connection:
+            own = select(evaluations.c.id).where(evaluations.c.campaign_sequence == sequence)
+            numbers = np.sort(np.fromiter(connection.scalars(own), np.int64))  # other campaigns' may lie between
+        for start in range(0, len(numbers), SLICE):
+            piece = numbers[start : start + SLICE]
+            with database.transaction() as connection:
+                admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
+                remove_slice(connection, sequence, range(int(piece[0]), int(piece[-1]) + 1))
+            yield True
+        with database.transaction() as connection:
+            for table in (traces, generations, lots, outside_sets, events):
+                connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
+            connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(requested_action=None))
     while True:
         with database.transaction() as connection:
             if not remove_some_keys(connection):
                 return
         yield True
-
-
-def _remove_cells(database: Database, sequence: int) -> Iterator[bool]:
-    cell = evaluations.c
-    with database.read() as connection:
-        ends = select(func.min(cell.id), func.max(cell.id)).where(cell.campaign_sequence == sequence)
-        first, last = connection.execute(ends).one()
-    for start in range(first or 0, (last or 0) + 1, SLICE):
-        with database.transaction() as connection:
-            admission.alone(connection)  # or a trace could be requested of a cell whose traces are gone already
-            remove_slice(connection, sequence, range(start, start + SLICE))
-        yield True
-    with database.transaction() as connection:
-        for table in (traces, generations, lots, outside_sets, studies, events):
-            connection.execute(delete(table).where(table.c.campaign_sequence == sequence))
-        connection.execute(update(campaigns).where(campaigns.c.sequence == sequence).values(requested_action=None))
 
 
 def _mark(connection: Connection, sequence: int, identifier: str) -> None:
@@ -121,6 +118,7 @@ def _mark(connection: Connection, sequence: int, identifier: str) -> None:
         update(reference_indexes).where(index.influence_map_sequence.in_(maps)).values(influence_map_sequence=-index.id)
     )
     connection.execute(delete(influence_maps).where(influence_maps.c.sequence.in_(maps)))
+    connection.execute(delete(studies).where(studies.c.campaign_sequence == sequence))  # others list them
 
 
 def remove_slice(connection: Connection, sequence: int, numbers: range) -> None:

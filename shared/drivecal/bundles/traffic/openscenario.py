@@ -141,10 +141,11 @@ class _Init:
         """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
         straight = Polyline(np.array([pose[:2], pose.moved(1e3, 0.0)[:2]]))
         if position.every(*FREE) or any("h" in each.values for each in position.every("WorldPosition")):
-            ground = self.roads.ground
+            ground, edges = self.roads.ground, self.roads.network.edges
             tried = [attempted(ground.place, pose.x, pose.y, heading, drive, position) for heading in (pose.heading, None)]
-            place = next((each for each in tried if not isinstance(each, InvalidInputError)), None)
-            if isinstance(tried[1], InvalidInputError) and not (position.every(*FREE) or ground.is_near(pose.x, pose.y)):
+            near = [each for each in tried if not isinstance(each, InvalidInputError)]
+            place = next((each for each in near if abs(each.offset) <= 0.5 * edges[each.edge].lanes[each.index].width), None)
+            if isinstance(tried[1], InvalidInputError) and not position.every(*FREE) and not ground.is_beside(pose.x, pose.y):
                 raise tried[1]
         else:
             place = self.roads.place(position, self.places, drive)

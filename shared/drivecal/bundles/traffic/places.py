@@ -124,9 +124,10 @@ class Ground:
             drive = self._decided(above, heading, route, x, y, element)
         return _closest(drive, x, y, heading, element)
 
-    def is_near(self, x: float, y: float) -> bool:
-        """Returns whether a lane is within `BESIDE` of coordinates."""
-        return any(candidate.off <= BESIDE for candidate in _projections(self._around(x, y, BESIDE), x, y))
+    def is_beside(self, x: float, y: float) -> bool:
+        """Returns whether coordinates are on no lane, and one is within `BESIDE`."""
+        near = [candidate for candidate in _projections(self._around(x, y, BESIDE), x, y) if candidate.off <= BESIDE]
+        return bool(near) and not any(candidate.holds for candidate in near)
 
     def _decided(
         self, above: list[_Candidate], heading: float | None, route: Sequence[str], x: float, y: float, element: Element

@@ -1,5 +1,6 @@
 """Results from elsewhere, of a vehicle, a test bench or another tool, and look-ups of stored results."""
 
+from contextlib import suppress
 from datetime import date as Date  # noqa: N812  a field has this name
 from typing import Annotated, Self
 
@@ -14,11 +15,9 @@ MOST_CELLS = 10_000
 
 
 def _day(given: object) -> object:
-    """Returns the day of a text; a text that is none as it is."""
-    try:
+    with suppress(ValueError):  # other texts are refused as what they are
         return Date.fromisoformat(given) if isinstance(given, str) else given
-    except ValueError:
-        return given
+    return given
 
 
 class ResultLookup(Model):

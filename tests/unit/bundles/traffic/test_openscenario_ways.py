@@ -46,7 +46,7 @@ WALKER = (
     f'<Pedestrian name="p" mass="1" pedestrianCategory="pedestrian">{BOX.format(centre=0, length=0.6, width=0.5)}</Pedestrian>'
 )
 LOCATIONS = "".join(
-    f'<{kind}Catalog><Directory path="./catalogs"/></{kind}Catalog>' for kind in ("Vehicle", "Maneuver", "Trajectory", "Route")
+    f'<{kind}Catalog><Directory path=".\\catalogs"/></{kind}Catalog>' for kind in ("Vehicle", "Maneuver", "Trajectory", "Route")
 )
 WAY = (
     '<Trajectory name="across" closed="false"><ParameterDeclarations><ParameterDeclaration name="s" parameterType="double" value="1"/>'
@@ -197,6 +197,7 @@ def turned(index: int, turn: float) -> str:
         (world(300, -9, pi / 2), (300.0, -9.0), (0.0, 1.0)),
         (world(300, -9, -pi / 2), (300.0, -9.0), (0.0, -1.0)),
         (world(300, -40, pi / 2), (300.0, -40.0), (0.0, 1.0)),
+        (world(300, -10.5 - 3.4, 0.0), (300.0, -13.9), (1.0, 0.0)),
         (turned(-3, pi / 2), (300.0, -8.75), (0.0, 1.0)),
         (turned(3, -pi / 2), (300.0, 8.75), (0.0, -1.0)),
     ],
@@ -208,6 +209,13 @@ def test_a_pedestrian_walks_in_the_direction_of_its_heading(
     first, last = np.array(path_of(walker))
     assert first == pytest.approx(begin, abs=0.05)
     assert (last - first) / 1e3 == pytest.approx(ahead, abs=0.01)
+
+
+def test_a_vehicle_that_comes_towards_the_ego_vehicle_stays_in_that_lane() -> None:
+    first, last = path_of(other_of(read(CARS, EGO + private("Other", moved(world(300, -1.75, pi))))))[:2]
+    assert first == pytest.approx((300.0, -1.75), abs=0.05)
+    assert last[0] < first[0]
+    assert last[1] == pytest.approx(-1.75, abs=0.05)
 
 
 def test_a_vehicle_ahead_of_another_in_its_lane_drives_on_the_lane() -> None:

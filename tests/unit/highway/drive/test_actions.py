@@ -30,13 +30,12 @@ def sumo(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """Stands in for SUMO: answers and records the actions' calls for one vehicle on an edge of two lanes."""
     recorded = SimpleNamespace(road="e0", speeds=[], modes=[], offsets=[], centres=[0.0, 3.5])
     recorded.edge = SimpleNamespace(getLaneNumber=lambda edge: 1 if edge.startswith(":") else 2)
-    recorded.lane = SimpleNamespace(getWidth=lambda _: 3.5)
+    recorded.lane = SimpleNamespace(getWidth=lambda _: 3.5, getLength=lambda _: 100.0)
     recorded.vehicle = SimpleNamespace(
         getSpeed=lambda _: 30.0,
         getRoadID=lambda _: recorded.road,
         getLaneIndex=lambda _: 0,
         getLanePosition=lambda _: 0.0,
-        getAngle=lambda _: 90.0,
         getLateralLanePosition=lambda _: 0.0,
         setLateralLanePosition=lambda _, offset: recorded.offsets.append(offset),
         setSpeed=lambda _, speed: recorded.speeds.append(speed),
@@ -208,6 +207,14 @@ def test_a_lane_that_no_car_drives_on_may_lie_between_two_lanes(sumo: SimpleName
     sumo.centres = [0.0, 7.0]
     steps(of({"do": "cut_in", "time": 0, "by": 1, "seconds": 2.0}), range(5))
     assert sumo.offsets == pytest.approx([0.724609375, -3.5, -0.724609375, 0.0])
+
+
+def test_a_lane_is_entered_where_it_is_there_and_reached_in_its_middle(sumo: SimpleNamespace) -> None:
+    these = of({"do": "cut_in", "time": 0, "by": 1, "seconds": 2.0})
+    steps(these, range(1))
+    sumo.centres = [0.0, 4.5]
+    steps(these, range(1, 5))
+    assert sumo.offsets == pytest.approx([0.3623046875, 1.75, 3.1376953125 - 4.5, 0.0])
 
 
 def test_an_action_waits_until_another_is_done(sumo: SimpleNamespace) -> None:

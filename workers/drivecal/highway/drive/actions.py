@@ -4,8 +4,8 @@ Conditions are evaluated once per step of the traffic.
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
-from math import atan2, ceil, copysign, cos, hypot, inf, isnan, radians, sin, sqrt
+from dataclasses import dataclass, field
+from math import atan2, ceil, copysign, cos, hypot, inf, isnan, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -191,7 +191,8 @@ class _Speeding:
 
 @dataclass(slots=True)
 class _Shift:
-    """A running motion to the side: from `start` by `way` (m), in `seconds` from `begin`; `steps`: lanes still to be entered."""
+    """A running motion to the side: from `start` by `way` (m), in `seconds` from `begin`; `steps`: lanes still to be entered, `ways` to
+    each of them at the begin. The lanes were farther apart by the `gap` where they were entered; it fades to 0 until the end."""
 
     action: str | None
     begin: float
@@ -200,11 +201,24 @@ class _Shift:
     way: float
     steps: int = 0
     passed: float = 0.0
+    ways: list[float] = field(default_factory=list)
+    gap: float = 0.0
+
+    def left(self, time: float) -> float:
+        """Returns the share of the way that is left at a time: least jerk, from rest to rest."""
+        u = min(max((time - self.begin) / self.seconds, 0.0), 1.0)
+        return 1.0 - u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
 
     def at(self, time: float) -> float:
-        """Returns the offset at a time: least jerk, from rest to rest."""
-        u = min(max((time - self.begin) / self.seconds, 0.0), 1.0)
-        return self.start + self.way * u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+        """Returns the offset at a time."""
+        return self.start + self.way * (1.0 - self.left(time)) - self.gap * self.left(time)
+
+    def enter(self, time: float, measured: float) -> None:
+        """Takes the way to the lane that is entered at a time, as it is there (m)."""
+        known = self.ways.pop(0) if self.ways else measured
+        self.passed += known
+        if (left := self.left(time)) > 0.0:
+            self.gap += (measured - known) / left
 
 
 NEAR = 1e-6
@@ -387,7 +401,10 @@ class Actions:
             seconds = action.metres / max(vehicle.getSpeed(name), SLOWEST_BRAKING)
         elif action.lateral_speed is not None:
             seconds = PEAK_SPEED * abs(way) / action.lateral_speed
-        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index)
+        lanes = range(index, target_lane, 1 if target_lane > index else -1)
+        ways = [centres[lane + lanes.step] - centres[lane] for lane in lanes]
+        timing = moment.time, max(seconds, SHORTEST)
+        self._shifts[name] = _Shift(action.id, *timing, offset, way, target_lane - index, ways=ways)
 
     def _end(self, name: str, ended: Collection[str]) -> None:
         """Ends the running ones of these actions of a vehicle: it keeps its speed, and its place in its lane.
@@ -467,11 +484,10 @@ class Actions:
             edge, index = vehicle.getRoadID(name), vehicle.getLaneIndex(name)
             half = 0.5 * sumo.lane.getWidth(f"{edge}_{index}")
             if side * offset > half and not edge.startswith(":") and 0 <= index + side < sumo.edge.getLaneNumber(edge):
-                way = _aside(name, edge, index, index + side)
+                running.enter(time, _aside(name, edge, index, index + side))
                 vehicle.moveTo(name, f"{edge}_{index + side}", vehicle.getLanePosition(name))
-                running.passed += way
                 running.steps -= side
-                offset -= way
+                offset = running.at(time) - running.passed
         vehicle.setLateralLanePosition(name, offset)
         if time >= running.begin + running.seconds - 1e-9 and not running.steps:
             self._events.done.add(running.action or "")
@@ -497,7 +513,12 @@ def _rate(brake: Brake, speed: float, target: float) -> float:
 
 def _aside(name: str, edge: str, lane: int, other: int) -> float:
     """Returns how far to the left of its lane's centre that of another lane is (m), as `moveTo` moves a vehicle: others may lie between."""
-    at, heading = sumo.vehicle.getLanePosition(name), radians(90.0 - sumo.vehicle.getAngle(name))
-    (x, y), (there_x, there_y) = (sumo.simulation.convert2D(edge, at, index) for index in (lane, other))
-    way: float = (there_y - y) * cos(heading) - (there_x - x) * sin(heading)
-    return way
+    at = sumo.vehicle.getLanePosition(name)
+
+    def point(index: int, position: float) -> tuple[float, float]:
+        x, y = sumo.simulation.convert2D(edge, min(max(position, 0.0), sumo.lane.getLength(f"{edge}_{index}")), index)
+        return x, y
+
+    (x, y), (there_x, there_y), before, after = point(lane, at), point(other, at), point(lane, at - 1.0), point(lane, at + 1.0)
+    heading = atan2(after[1] - before[1], after[0] - before[0])
+    return (there_y - y) * cos(heading) - (there_x - x) * sin(heading)
