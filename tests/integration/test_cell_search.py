@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,22 @@ def _plugin(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def carried_out(database: Database, seed: int = 0, **changes: Any) -> StoredCampaign:
     return run(database, submit(database, **changes), ComputedBackend(seed))
+
+
+@pytest.mark.parametrize(("budget", "sets"), [(4, 2), (5, 2), (6, 3)])
+def test_a_budget_of_whole_sets_completes_them(tmp_path: Path, budget: int, sets: int) -> None:
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    space = {name: {"lower": 0, "upper": 1} for name in ("x", "z")}
+    store(database, scored("unsaid", space, simulator={"kind": "process", "command": ["mysim"]}))
+    asked = {"problem": "unsaid", "optimizer": {"kind": "surrogate"}, "budget": {"simulations": budget}}
+
+    def driven(_: object, cell: Cell) -> CellResult:
+        return CellResult(cell.id, None, None, {"y": float(cell.parameters["x"])}, None, 7.0)
+
+    ended = run(database, submit_checked(database, asked), ComputedBackend(driven=driven))
+    counts = Counter(row.parameters for row in rows_of(database, ended) if row.outcome == "simulated")
+    assert sum(count == 2 for count in counts.values()) == sets
+    assert ended.cells.runs <= budget
 
 
 def test_a_budget_is_used_up_exactly_and_cells_of_sets_that_cannot_win_are_in_no_sum(database: Database) -> None:

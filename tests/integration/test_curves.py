@@ -98,7 +98,7 @@ def test_results_show_curves_with_the_range_of_good_sets(database: Database, cap
         in_notebook = Campaign.model_validate_json(bytes(read(ended.id, database).body))._repr_html_()
         with mock.patch("drivecal.storage.results.answers", wraps=answers) as reads:
             assert setup_of(ranking_of(database, ended.id)) == results.setup
-            assert ranking_of(database, ended.id).sets.best_first()
+            assert ranking_of(database, ended.id).sets.best()
         assert reads.call_count == 1, "the next page of a table needs no ranking of its own"
     assert all(str(points) in in_notebook for points in (gain.values(best.parameters), gain.good.lower, load.good.upper))
     print_results(results)

@@ -125,8 +125,8 @@ def rerun(
 
 
 def _best_before(database: Database, first: StoredCampaign, problem: CalibrationProblem) -> dict[str, Any] | None:
-    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets (one by the cell does,
-    after an equal push) or is to know none, has no room for it, ranks sets as the first one did, or can rank none before it begins."""
+    """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets, as the default one
+    does after an equal push, or is to know none, has no room for it, ranks sets as the first one did, or can rank none before it begins."""
     chosen, wanted, weights = problem.optimization, problem.specification, problem.weights
     if chosen is None or isinstance(chosen.plugin, External) or wanted.reduction.isolated:
         return None

@@ -214,9 +214,10 @@ class Client(Transport):
                 raise ConflictError(f"campaign {campaign.id} proposes its sets itself; resume another one")
             return AskTell(self, campaign)
         document = dict(plain({} if specification is None else specification))
-        document["optimizer"] = {"kind": "external"} | dict(document.get("optimizer") or {})
-        if (kind := document["optimizer"]["kind"]) != "external":
-            raise InvalidInputError(Problem("optimizer.kind", f"{kind} proposes its sets itself", "leave it out"))
+        if isinstance(given := document.get("optimizer") or {}, Mapping):
+            document["optimizer"] = {"kind": "external"} | dict(given)
+            if (kind := document["optimizer"]["kind"]) != "external":
+                raise InvalidInputError(Problem("optimizer.kind", f"{kind} proposes its sets itself", "leave it out"))
         return AskTell(self, self.submit(document))
 
     def propose(self, identifier: str, sets: Sequence[Mapping[str, Any]]) -> AcceptedSets:

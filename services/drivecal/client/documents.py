@@ -24,14 +24,14 @@ def plain(document: Document) -> Mapping[str, Any]:
     if isinstance(document, (str, PathLike)):
         return read_document(str(document))
     try:
-        return dict(json.loads(json.dumps(document, default=listed)))
+        return dict(json.loads(json.dumps(dict(document), default=listed)))
     except (TypeError, ValueError) as error:
         raise InvalidInputError(Problem("", str(error), "give a mapping of texts, numbers, lists and mappings")) from error
 
 
 def listed(value: Any) -> Any:
-    """Returns numbers and arrays of numpy as numbers and lists. Raises TypeError for what is no number."""
-    return value.tolist() if hasattr(value, "tolist") else float(value)
+    """Returns numbers and arrays of numpy as numbers and lists, and further mappings. Raises TypeError for what is no number."""
+    return value.tolist() if hasattr(value, "tolist") else dict(value) if isinstance(value, Mapping) else float(value)
 
 
 def query_of(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from drivecal.domain.evaluations import Breakdown, Rating
 from drivecal.domain.values import Argument
 from drivecal.plugins.ports import Named
 
-VERSIONS: Mapping[str, str] = MappingProxyType({"process": "2", "command": "2", "python": "2", "fmu": "1", "highway": "13"})
+VERSIONS: Mapping[str, str] = MappingProxyType({"process": "2", "command": "2", "python": "2", "fmu": "1", "highway": "14"})
 """Version of each kind's adapter; that of `highway` is the closed loop's, for planners too. Increase it whenever a run may change by
 a bit; `tests/golden` detects such changes. Here, because the coordinator needs it, too."""
 

@@ -25,7 +25,7 @@ def wrapped(error: Exception) -> DBAPIError:
         (sqlite_error(sqlite3.SQLITE_CORRUPT), DatabaseError, "the file is a damaged SQLite database"),
         (sqlite_error(sqlite3.SQLITE_CANTOPEN), UnavailableError, "the file cannot be opened for writing"),
         (sqlite_error(sqlite3.SQLITE_READONLY_DIRECTORY), UnavailableError, "the file cannot be opened for writing"),
-        (sqlite_error(sqlite3.SQLITE_BUSY_SNAPSHOT), UnavailableError, "the file is locked by another process"),
+        (sqlite_error(sqlite3.SQLITE_BUSY_SNAPSHOT), UnavailableError, "the file is locked"),
         (sqlite_error(sqlite3.SQLITE_FULL), UnavailableError, "cannot be used at the moment: it broke"),
         (
             psycopg.OperationalError("server closed\nthe connection"),

@@ -16,7 +16,7 @@ from drivecal.api.tables.influence import importance
 from drivecal.api.tables.ranking import ranking_of, solution_pages
 from drivecal.calibration_data.chosen import characteristics_of, curves_of, figures_of, quality_of
 from drivecal.calibration_data.files import CalibrationFormat, labels_of, write
-from drivecal.campaigns.results.front import front_of
+from drivecal.campaigns.results.front import StoredRanking, front_of
 from drivecal.contracts.assignments import assignments, settings
 from drivecal.contracts.campaign import StudyPage
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
@@ -59,7 +59,7 @@ def read_results(campaign_id: str, query: PlaceQuery, database: DatabaseDependen
 @computed
 def setup(campaign_id: str, database: DatabaseDependency) -> CampaignSetup:
     """The parameters, versions and fingerprints that the campaign began with; while it is queued, the current ones."""
-    return setup_of(ranking_of(database, campaign_id))
+    return setup_of(StoredRanking.of(database, calibration(database.query(campaigns.get, campaign_id))))
 
 
 @router.get("/importance")

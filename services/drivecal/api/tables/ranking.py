@@ -76,7 +76,7 @@ def ranking_of(database: Database, identifier: str, lacks: str = "") -> StoredRa
         return StoredRanking.of(database, campaign)
     with _ranking:  # the first look at a ranking changes it
         stored = _kept(database, campaign.id, campaign.revision, database.query(runs.largest_id))
-        stored.sets.best_first()
+        stored.sets.best()
     return stored
 
 

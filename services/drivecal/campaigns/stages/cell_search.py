@@ -163,7 +163,8 @@ def _most_cells(runs: int, problem: CalibrationProblem) -> int:
     """Returns the cells that a search may ask for in a budget of runs: some run twice, unless that would cost it a set."""
     share, size = problem.bench.repeated_share, len(problem.scenarios) * problem.least_replicates
     most = runs - math.ceil(runs * share / (1.0 + share))
-    return min(runs, -(-most // size) * size)
+    whole = -(-most // size) * size
+    return whole if whole <= runs else most
 
 
 def _newest(known: Sequence[CellAnswer]) -> list[CellAnswer]:

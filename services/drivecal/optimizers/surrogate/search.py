@@ -90,8 +90,6 @@ TURNS = 3
 """Steps of asking a set when many cells are under way; with one cell at a time there is a step for each scenario."""
 GROUPS = 4
 """Most groups of such sets in a round."""
-FEW = 2
-"""Cells of a round, with eight workers, up to which answers come in time to give sets up."""
 PENDING = 64
 """Most unanswered sets that the models count as known."""
 DORMANT = 64
@@ -222,7 +220,7 @@ class SurrogateSearch:
             wanted = min(room - len(cells), at_once - self._answers.pending(begun))
             self._ask_deciding(begun, drawn, aim, wanted, cells)
         first = True
-        while len(cells) < room and self._may_begin(room):
+        while len(cells) < room and self._may_begin():
             wanted = -(-(room - len(cells)) // at_once)
             together = 1 if wanted <= TOGETHER else max(TOGETHER, -(-wanted // GROUPS))
             if not first:
@@ -242,11 +240,10 @@ class SurrogateSearch:
                     begun.improbable = False
                     self._ask_all(begun, room, cells)
 
-    def _may_begin(self, room: int) -> bool:
-        """Returns whether enough cells are left for a new set. Half of the cells of open sets are reserved, as some are given up; all of
-        them with many workers, for which sets are begun before answers tell."""
+    def _may_begin(self) -> bool:
+        """Returns whether enough cells are left for a new set. Half of the cells of open sets are reserved: some are given up."""
         left = self._left
-        reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open) // (1 if room > FEW else 2)
+        reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open) // 2
         return left is None or left - reserved >= self._needs[self._turn(len(self._answers.sets))].sum()
 
     def _turn(self, number: int) -> int:

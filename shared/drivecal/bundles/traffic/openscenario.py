@@ -22,7 +22,7 @@ from drivecal.bundles.traffic.storyboard import Storyboard, Ways, ignore_control
 from drivecal.bundles.traffic.ways import FREE, Polyline, Pose, WayReader, is_turned
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
-from drivecal.domain.errors import InvalidInputError, Problem, attempted
+from drivecal.domain.errors import InvalidInputError, Problem, attempted, problems_of
 from drivecal.roads.corridor import Corridor
 from drivecal.roads.lines import project
 
@@ -145,8 +145,8 @@ class _Init:
             tried = [attempted(ground.place, pose.x, pose.y, heading, drive, position) for heading in (pose.heading, None)]
             near = [each for each in tried if not isinstance(each, InvalidInputError)]
             place = next((each for each in near if abs(each.offset) <= 0.5 * edges[each.edge].lanes[each.index].width), None)
-            if isinstance(tried[1], InvalidInputError) and not position.every(*FREE) and not ground.is_beside(pose.x, pose.y):
-                raise tried[1]
+            if not (near or position.every(*FREE) or ground.is_beside(pose.x, pose.y)):
+                raise InvalidInputError(*problems_of(tried[1]))
         else:
             place = self.roads.place(position, self.places, drive)
         is_against = False

@@ -5,6 +5,7 @@ from math import pi
 
 import pytest
 from tests.support.networks import built, edge, node
+from tests.support.scenario_files import CARS, absolute, maps, of_file, scenario, start
 from tests.support.values import faults_of
 
 from drivecal.bundles.traffic.elements import read_tree
@@ -94,3 +95,14 @@ def test_places_where_edges_meet_are_on_the_closest_lane() -> None:
 
 def test_a_place_on_no_lane_is_refused() -> None:
     assert "no lane" in refused(100.0, 60.0)
+
+
+def test_a_start_on_one_of_several_roads_is_that_of_its_heading(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(maps(), "maps/motorway.xodr", roads(True))
+    (x, y), at = CROSSING, '<Position><WorldPosition x="{}" y="{}" h="{}"/></Position>'
+    starts = start("Ego", at.format(100, -1.6, 0), absolute(30)) + start("Other", at.format(x, y, pi / 2), absolute(25))
+    (other,) = of_file(scenario(CARS, starts), route=["first", "second"]).scenario.traffic
+    assert (other.edge, other.path) == ("bridge", None)
+    starts = starts.replace(f'x="{x}" y="{y}"', 'x="500" y="498.4"')
+    (problem,) = faults_of(of_file, scenario(CARS, starts.replace(str(pi / 2), "0")), route=["first"])
+    assert problem.remedy
