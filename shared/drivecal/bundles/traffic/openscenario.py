@@ -144,9 +144,10 @@ class _Init:
             ground, edges = self.roads.ground, self.roads.network.edges
             tried = [attempted(ground.place, pose.x, pose.y, heading, drive, position) for heading in (pose.heading, None)]
             near = [each for each in tried if not isinstance(each, InvalidInputError)]
-            place = next((each for each in near if abs(each.offset) <= 0.5 * edges[each.edge].lanes[each.index].width), None)
+            on = [each for each in near if abs(each.offset) <= 0.5 * edges[each.edge].lanes[each.index].width]
             if not (near or position.every(*FREE) or ground.is_beside(pose.x, pose.y)):
                 raise InvalidInputError(*problems_of(tried[1]))
+            place = next(iter(on if position.every(*FREE) else on + near), None)
         else:
             place = self.roads.place(position, self.places, drive)
         is_against = False

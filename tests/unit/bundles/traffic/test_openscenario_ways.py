@@ -221,6 +221,8 @@ def test_a_vehicle_that_comes_towards_the_ego_vehicle_stays_in_that_lane() -> No
 def test_a_vehicle_ahead_of_another_in_its_lane_drives_on_the_lane() -> None:
     ahead = '<Position><RelativeObjectPosition entityRef="Ego" dx="60" dy="0"/></Position>'
     car = other_of(read(CARS, EGO + private("Other", moved(ahead))))
+    beside = other_of(read(CARS, EGO + private("Other", moved(ahead.replace('dy="0"', 'dy="-3.4"')))))
+    assert path_of(beside)[0] == pytest.approx((210.0, -8.75 - 3.4), abs=0.05)
     assert (car.path, car.edge) == (None, "-7")
     assert car.s == pytest.approx(150 + 60 + 1.4, abs=0.5)
 
