@@ -58,7 +58,7 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = (undisturbed - _r2(predicted, values[judged])) / 2
         added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
-    lower, upper = _interval(added, values[judged], generator)
+    lower, upper = np.minimum(_interval(added, values[judged], generator), 1.0)  # no share is more than all
     return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
 
 
@@ -91,7 +91,7 @@ def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> 
     variation = counts @ values**2 / len(values) - means**2
     varied = variation > 1e-9 * values.var()  # a sample of equal values has no shares; 1e-9: rounding
     shares = (counts @ added.T / len(values))[varied] / variation[varied, np.newaxis]
-    lower, upper = np.quantile(np.minimum(shares, 1.0), [0.025, 0.975], axis=0)  # no share is more than all
+    lower, upper = np.quantile(shares, [0.025, 0.975], axis=0)
     return lower, upper
 
 
