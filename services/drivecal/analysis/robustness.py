@@ -61,9 +61,10 @@ def deviation(nominal: Floats, scores: Floats, condition: Condition, least: floa
 def holds(deviations: Floats, nominal: Floats, settings: RobustnessSpecification) -> bool:
     """Returns whether the condition holds in every scenario; false if a vehicle has no result. The rounding errors of the `deviations`
     follow from the size of the scores in the nominal vehicle, `nominal`."""
-    allowed = settings.eta or 1.0
-    room = grains(np.atleast_2d(nominal), allowed).max(axis=0)
-    within = deviations <= allowed + room if settings.condition == "max" else deviations < allowed
+    if settings.eta is None:
+        raise ValueError("the settings are on no scale yet")
+    room = grains(np.atleast_2d(nominal), settings.eta).max(axis=0)
+    within = deviations <= settings.eta + room if settings.condition == "max" else deviations < settings.eta
     return bool(within.all())  # a comparison with NaN is false
 
 

@@ -502,10 +502,11 @@ class Ranking:
         if not judged:
             return []
         points = self._goals.signed(each.choice.judgement for each in judged)
-        kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
         if not self._goals.is_vector and any(each.bound is not None for each in judged):  # the best sample is luck
             least = min(self.order(each)[:2] for each in judged)
             kept = np.array([self.order(each)[:2] == least for each in judged])
+        else:
+            kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place]))
         alike = [[judged[ordered[place]] for place in group] for group in self._alike(points[ordered])]
         members = [

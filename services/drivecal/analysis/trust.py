@@ -200,11 +200,8 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _seen(campaign, search)
     else:
         yield from _constraints(campaign, known)
-        yield from (
-            *_confirmation(campaign),
-            *_baseline(campaign, known),
-            *_course(campaign, search, is_random=known.is_random),
-        )
+        yield from (*_confirmation(campaign), *_baseline(campaign, known))
+        yield from _course(campaign, search, is_random=known.is_random)
     if chosen is None and campaign.best is not None:
         yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best.parameters, search)
 

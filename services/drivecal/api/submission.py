@@ -107,9 +107,7 @@ def rerun(
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
     names = [stored_bundles(database)(push).manifest.problem for push in (first.spec["problem"], problem.specification.problem)]
     if names[0] != names[1]:
-        raise InvalidInputError(
-            Problem("problem", f"the first campaign's is {names[0]}", f"give a push of it, or submit {names[1]}")
-        )
+        raise InvalidInputError(Problem("problem", f"the first campaign's is {names[0]}", f"push that, or submit {names[1]}"))
     others = database.query(moved, first.spec["problem"], problem.specification.problem)
     if held := [name for name in others if f'"{name}"' in canonical_json(document)]:
         raise InvalidInputError(Problem("problem", f"{', '.join(held)} mean other curves there", "submit lists of values"))

@@ -469,7 +469,7 @@ class _Reader:
         _check_name(attributes, "id")
         self.is_virtual = attributes.text("type", "default") == VIRTUAL
         if self.is_virtual:
-            self.notes.add(f"junction {attributes.text('id')}", "virtual: left out, and nobody turns there")
+            self.notes.add(f"junction {attributes.text('id')}", "virtual: left out, and no vehicle turns there")
 
     def on_junction_connection(self, attributes: Attributes) -> None:
         """Checks a connection, which netconvert reads."""

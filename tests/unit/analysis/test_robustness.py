@@ -62,7 +62,7 @@ def test_the_conditions_compare_what_the_paper_says(condition: Any, eta: float, 
 
 
 def test_one_point_is_still_robust_and_a_relative_bound_is_strict() -> None:
-    assert holds(np.array([1.0]), np.array([6.0]), RobustnessSpecification())
+    assert holds(np.array([1.0]), np.array([6.0]), RobustnessSpecification(eta=1))
     assert not holds(np.array([0.2]), np.array([6.0]), RobustnessSpecification(condition="mean", eta=0.2))
 
 
@@ -100,7 +100,7 @@ def run(limits: list[float], chosen: RobustnessSpecification) -> tuple[Robustnes
 
 
 def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() -> None:
-    study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSpecification(samples=4))
+    study, driven = run([0.005, 0.035, 0.0999, 5.0], RobustnessSpecification(samples=4, eta=1))
     result = study.result()
     assert [item.degree for item in result] == [0, 3, 9, 10]
     assert [entry.at_least for entry in result] == [False, False, False, True]
@@ -109,7 +109,7 @@ def test_the_degree_is_the_largest_multiple_up_to_which_the_condition_holds() ->
 
 
 def test_a_study_that_is_told_the_same_goes_on_as_the_first() -> None:
-    chosen = RobustnessSpecification(samples=3)
+    chosen = RobustnessSpecification(samples=3, eta=1)
     nominal = np.array([[6.0, 5.0], [4.0, 4.0]])
     first, boxes = RobustnessStudy(nominal, ("S1", "S2"), TABLE_8, NOMINAL, chosen), []
     while (box := first.ask()) is not None:

@@ -186,12 +186,11 @@ def _shares(
     chosen = [name for name in weights if not listed or bases[name] in listed]
     unknown = {f"{field}.scenarios": [name for name in listed if name not in bases.values()]}
     unknown[f"{field}.weights"] = [name for name in given.weights if name not in [bases[each] for each in chosen]]
+    known = {f"{field}.scenarios": dict.fromkeys(bases.values())}
+    known[f"{field}.weights"] = dict.fromkeys(bases[each] for each in chosen or weights)
     for place, names in unknown.items():
         for name in names:
-            known = list(
-                dict.fromkeys(bases.values() if place.endswith("scenarios") else (bases[each] for each in chosen or weights))
-            )
-            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", nearest(name, known))
+            diagnostics.add(place, f"the scenario {name!r} is not simulated for it", nearest(name, list(known[place])))
     if any(unknown.values()):
         return None
     if chosen == list(weights) and not given.weights:

@@ -153,9 +153,7 @@ def robustness(
     ] = None,
     steps: Annotated[int | None, typer.Option(min=1, max=100, help="Boxes; else 10.")] = None,
     samples: Annotated[int | None, typer.Option(min=1, max=10_000, help="Vehicles in each box; else 30.")] = None,
-    eta: Annotated[
-        float | None, typer.Option(help="What the condition allows; else the score's tolerance, of a mean 1.")
-    ] = None,
+    eta: Annotated[float | None, typer.Option(help="What the condition allows; else the tolerance, of a mean 1.")] = None,
     vehicle: Annotated[
         str | None, typer.Option(help="Examine the same sets in this vehicle model; the page shows both studies.")
     ] = None,

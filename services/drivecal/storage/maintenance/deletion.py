@@ -38,7 +38,7 @@ from drivecal.storage.engine.tables import (
 from drivecal.storage.engine.types import now
 
 SLICE = 5_000
-"""Numbers of cells whose rows go in a transaction."""
+"""Cells of a campaign whose rows go in a transaction."""
 KEYS = 5_000
 """Reference keys that go at a time."""
 MOST_LISTED = 20

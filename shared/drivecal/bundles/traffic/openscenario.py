@@ -115,17 +115,12 @@ class _Init:
                 drive = self.scenario.route or (along(self.roads.network, known.edge, BEHIND) if known is not None else [])
                 position = kind.only("Position")
                 pose = self.reader.pose(position, self.places, self.poses, drive)
-                path = None if name == self.ego else self._off_lane(position, pose, drive)
+                way = self._ego_place(position, pose, drive) if name == self.ego else self._way(position, pose, drive)
                 self.poses[name] = pose
-                if path is not None:
-                    self.starts[name] = _Start(NOWHERE, 0.0, path, self.entities[name].centre)
+                if isinstance(way, Polyline):
+                    self.starts[name] = _Start(NOWHERE, 0.0, way, self.entities[name].centre)
                     continue
-                if position.every(*FREE):
-                    self.places[name] = self.roads.ground.place(pose.x, pose.y, pose.heading, drive, position)
-                else:
-                    self.places[name] = self.roads.place(position, self.places, drive)
-                    if name == self.ego and is_turned(pose, self.reader.pose_of(self.places[name]).heading):
-                        self.notes.add(position.children[0], "the ego vehicle starts in the direction of its lane")
+                self.places[name] = way
                 self.starts[name] = _Start(self._centre(self.places[name], self.entities[name], kind), 0.0)
             for kind in (kind for kind in kinds if kind.element == "RoutingAction"):
                 self._follow(kind, name)
@@ -137,8 +132,17 @@ class _Init:
                 self.places[name] = replace(place, position=place.position - self.entities[name].centre)
                 self.poses[name] = self.reader.pose_of(self.places[name])
 
-    def _off_lane(self, position: Element, pose: Pose, drive: Sequence[str]) -> Polyline | None:
-        """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; None if it drives on its lane."""
+    def _ego_place(self, position: Element, pose: Pose, drive: Sequence[str]) -> FilePlace:
+        """Returns the place on a lane where the ego vehicle starts."""
+        if position.every(*FREE):
+            return self.roads.ground.place(pose.x, pose.y, pose.heading, drive, position)
+        place = self.roads.place(position, self.places, drive)
+        if is_turned(pose, self.reader.pose_of(place).heading):
+            self.notes.add(position.children[0], "the ego vehicle starts in the direction of its lane")
+        return place
+
+    def _way(self, position: Element, pose: Pose, drive: Sequence[str]) -> Polyline | FilePlace:
+        """Returns the way of a vehicle that starts off the lanes, or in another direction than its lane; its place if it drives on it."""
         straight = Polyline(np.array([pose[:2], pose.moved(1e3, 0.0)[:2]]))
         if position.every(*FREE) or any("h" in each.values for each in position.every("WorldPosition")):
             ground, edges = self.roads.ground, self.roads.network.edges
@@ -155,7 +159,7 @@ class _Init:
             heading = self.reader.pose_of(place).heading
             is_against = not is_turned(pose, heading + pi)
             if not is_turned(pose, heading) or (place.lane > 0 and is_against):
-                return None
+                return place
         self.notes.add(position.children[0], "not on a lane in its direction: it moves on no lane, unseen by SUMO's models")
         return self.reader.back(place) if place is not None and is_against else straight
 

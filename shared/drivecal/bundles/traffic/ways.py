@@ -190,9 +190,12 @@ class WayReader:
         turn = orientation.number("h", -100.0, 100.0, 0.0)
         unsaid = "absolute" if turn and kind.element in {"LanePosition", "RoadPosition"} else "relative"
         is_absolute = orientation.word("type", ("relative", "absolute"), unsaid) == "absolute"
+        if is_absolute:
+            return pose._replace(heading=turn)
+        turned = pose._replace(heading=pose.heading + turn)
         # Files mean both directions of a left lane by both headings along it; across it, they count from the road's direction.
-        against = pi if is_left and is_turned(Pose(0.0, 0.0, turn), 0.0) and is_turned(Pose(0.0, 0.0, turn), pi) else 0.0
-        return pose._replace(heading=turn if is_absolute else pose.heading + turn + against)
+        is_across = is_left and is_turned(turned, pose.heading) and is_turned(turned, pose.heading + pi)
+        return turned._replace(heading=turned.heading + pi) if is_across else turned
 
     def _on_route(self, kind: Element, places: Mapping[str, FilePlace]) -> Pose:
         """Returns the pose of a <RoutePosition>."""

@@ -403,8 +403,7 @@ class Actions:
             seconds = PEAK_SPEED * abs(way) / action.lateral_speed
         lanes = range(index, target_lane, 1 if target_lane > index else -1)
         ways = [centres[lane + lanes.step] - centres[lane] for lane in lanes]
-        timing = moment.time, max(seconds, SHORTEST)
-        self._shifts[name] = _Shift(action.id, *timing, offset, way, target_lane - index, ways=ways)
+        self._shifts[name] = _Shift(action.id, moment.time, max(seconds, SHORTEST), offset, way, target_lane - index, ways=ways)
 
     def _end(self, name: str, ended: Collection[str]) -> None:
         """Ends the running ones of these actions of a vehicle: it keeps its speed, and its place in its lane.
