@@ -23,11 +23,12 @@ from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.cli.__main__ import app
 from drivecal.cli.commands.check import LimitsFile
-from drivecal.configuration.documents import located_yaml, read_document
+from drivecal.configuration.documents import read_document
 from drivecal.configuration.problems import read_bundle
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.input_errors import validated
 from drivecal.contracts.specification import CampaignSpecification, InfluenceMapSpecification
+from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError
 from drivecal.highway.planner.plugin import RANGES
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from drivecal.bundles.archives import MANIFEST, files_of
 from drivecal.bundles.checks import checked
 from drivecal.bundles.installed import installed_problems
-from drivecal.configuration.documents import located_yaml
 from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults
 
 PLANNER = "highway-planner"

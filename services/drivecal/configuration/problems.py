@@ -12,10 +12,11 @@ from drivecal.bundles.checks import checked, script_problems
 from drivecal.bundles.fmus.bundles import check_fmus
 from drivecal.bundles.highway import HighwaySimulator
 from drivecal.bundles.manifest import Manifest
-from drivecal.configuration.documents import LARGEST_FILE, located, located_yaml
+from drivecal.configuration.documents import LARGEST_FILE, located
 from drivecal.configuration.pushing import HEADER, read_secret, sign
 from drivecal.configuration.settings import load_settings
 from drivecal.contracts.strict_json import shown
+from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults, restated
 
 _Checked = TypeVar("_Checked")

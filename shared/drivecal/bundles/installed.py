@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
-import yaml
-
 from drivecal.bundles.archives import MANIFEST, content_digest, files_digest, files_of, pack
 from drivecal.bundles.checks import checked
 from drivecal.bundles.manifest import Manifest
+from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.plugins import registry
 
@@ -49,7 +48,7 @@ def read(name: str, folder: Path) -> InstalledProblem:
     """Returns the problem in an installed folder. Raises InvalidInputError with its faults, and if it has another name."""
     archive = pack(folder)
     files = files_of(archive)
-    document = yaml.safe_load(files[MANIFEST].content)
+    document, _ = located_yaml(files[MANIFEST].content)
     manifest = checked(document, files, taken=())
     if manifest.problem != name:
         raise InvalidInputError(Problem("problem", f"{manifest.problem} is registered as {name}", "register it by its name"))
@@ -63,7 +62,7 @@ def installed_problems() -> Mapping[str, InstalledProblem]:
     for name, folder in registry.problems().items():
         try:
             problems[name] = read(name, folder)
-        except (InvalidInputError, OSError, yaml.YAMLError) as error:
+        except (InvalidInputError, OSError) as error:
             log.warning("the installed problem %s cannot be used: %s", name, error)
     return problems
 

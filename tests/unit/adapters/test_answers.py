@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from tests.support.problems import REPLAY
 
-from drivecal.adapters.answers import outcome
+from drivecal.adapters.answers import document, outcome
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import Declared, NoMeasuresError
 
@@ -37,12 +37,23 @@ def test_a_replay_of_another_form_costs_its_cell(wrong: object) -> None:
         (None, {"t": [0.0, nan]}, ({}, {})),
         ({"a": None, "b": inf}, {"t": [0.0, inf]}, ({}, {})),
         ({"a": 1.5, "b": None}, {"t": [0, 1], "u": [None]}, ({"a": 1.5}, {"t": [0.0, 1.0]})),
+        ({"a": 1.5, "b": 10**400}, {"t": [0, 10**400]}, ({"a": 1.5}, {})),
     ],
 )
 def test_a_failed_run_keeps_the_numbers_that_it_has(measures: object, series: object, kept: object) -> None:
     declared, answer = Declared("trial", ("a", "b"), series=("t", "u")), {"measures": measures, "series": series}
     failed = outcome(answer | {"failure": "collision", "error": None}, declared, series=True)
     assert (failed.failure, (failed.measures, failed.series)) == ("collision", kept)
+
+
+@pytest.mark.parametrize("nothing", [None, False, ""])
+def test_an_answer_may_say_that_it_has_no_error_and_is_not_busy(nothing: object) -> None:
+    assert outcome(ANSWER | {"error": nothing, "busy": nothing}, DECLARED, series=False).measures == {"a": 1.0}
+
+
+def test_a_measure_that_is_given_twice_is_refused() -> None:
+    with pytest.raises(NoMeasuresError, match="twice"):
+        document(b'{"measures": {"a": 1, "a": 7}}', "the answer")
 
 
 def test_a_failure_that_is_not_declared_is_refused_if_any_is() -> None:

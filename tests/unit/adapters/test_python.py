@@ -78,11 +78,14 @@ def test_what_a_function_prints_and_reads_disturbs_nothing(tmp_path: Path) -> No
     [
         ("1 / 0", Breakdown.ERROR, "ZeroDivisionError: division by zero (model.py:6)"),
         ("sys.exit('stop')", Breakdown.ERROR, "stop"),
+        ("if os.fork(): 1 / 0\n        sys.exit()", Breakdown.ERROR, "ZeroDivisionError"),
         ("os._exit(3)", Breakdown.CRASH, "exit code 3"),
         ("import ctypes; ctypes.string_at(0)", Breakdown.CRASH, "SIGSEGV"),
         ("bytearray(8_000_000_000)", Breakdown.MEMORY, "MemoryError"),
         ("return None", Breakdown.ERROR, "returned NoneType"),
         ("return {'y': object()}", Breakdown.ERROR, "not JSON serializable"),
+        ("import numpy; return {'y': numpy.complex128(3 + 4j)}", Breakdown.ERROR, "not JSON serializable"),
+        ("import numpy; return {'y': numpy.True_}", Breakdown.ERROR, "not JSON serializable"),
         ("raise type('Odd', (Exception,), {'__str__': lambda self: 1})()", Breakdown.ERROR, "Odd"),
         ("return parameters['q']", Breakdown.ERROR, "KeyError: 'q'"),
     ],
@@ -103,6 +106,11 @@ def test_a_function_may_report_failures_and_series(tmp_path: Path) -> None:
 
 def test_a_measure_may_be_called_failure() -> None:
     assert answer({"failure": 0.5}) == {"measures": {"failure": 0.5}}
+
+
+def test_a_failure_may_stand_among_the_measures() -> None:
+    flat = {"y": 2.5, "failure": "collision", "place": "exit"}
+    assert answer(flat) == flat | {"measures": {"y": 2.5}}
 
 
 def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:

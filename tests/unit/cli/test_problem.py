@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from tests.support.command import command
 
-from drivecal.configuration.documents import located_yaml
+from drivecal.contracts.strict_yaml import located_yaml
 
 MANIFEST = """
 problem: acc

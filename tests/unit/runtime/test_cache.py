@@ -6,6 +6,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from tests.support.changes import replace_in
@@ -97,6 +98,22 @@ def test_a_changed_bundle_is_removed(cache: BundleCache, digest: str, archive: b
         cache.folder(digest)
     cache.store(digest, archive)
     assert archives.folder_digest(cache.folder(digest)) == digest
+
+
+def test_an_installed_problem_that_changes_is_refused(
+    tmp_path: Path, cache: BundleCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "installed"
+    (folder / "data").mkdir(parents=True)
+    (folder / "data" / "table.csv").write_text("1\n")
+    digest = archives.folder_digest(folder)
+    problem = Mock(folder=folder)
+    monkeypatch.setattr(module, "installed", lambda each: problem if each == digest else None)
+    assert cache.folder(digest) == folder
+    (folder / "data" / "table.csv").write_text("2\n")
+    with pytest.raises(UnavailableError, match="restart"):
+        cache.folder(digest)
+    assert (folder / "data" / "table.csv").is_file()
 
 
 def test_bytecode_is_no_change(cache: BundleCache, digest: str) -> None:

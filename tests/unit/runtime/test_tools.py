@@ -19,6 +19,7 @@ class Machine:
 
     worker: Worker
     setup: SetupRequest
+    simulator: ScriptedSimulator
     version: str | None = "1.0"
     now: float = 0.0
     asked: int = 0
@@ -37,9 +38,11 @@ class Machine:
 @pytest.fixture
 def machine(tmp_path: Path, request_: SetupRequest, archive: bytes) -> Machine:
     tools = Tools(lambda *_: made.answer(), lambda: made.now)
-    worker = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: ScriptedSimulator(), tools))
+    simulator = ScriptedSimulator()
+    worker = Worker("w", bundles=BundleSessions(BundleCache(tmp_path / "cache"), lambda _: simulator, tools))
     worker.store(request_.bundle, archive)
-    made = Machine(worker, replace(request_, simulator={"kind": "process", "timeout": 10.0, "probe": ["mysim", "--version"]}))
+    section = {"kind": "process", "timeout": 10.0, "probe": ["mysim", "--version"]}
+    made = Machine(worker, replace(request_, simulator=section), simulator)
     return made
 
 
@@ -72,6 +75,15 @@ def test_an_upgrade_is_noticed_before_a_new_campaign_s_first_batch(machine: Mach
     assert machine.run("1.0").refusal is None
     machine.version = "2.0"
     assert machine.run("2.0").refusal is None
+
+
+def test_inputs_are_looked_at_again_after_a_start_that_may_have_read_them(machine: Machine) -> None:
+    machine.setup = replace(machine.setup, simulator={**machine.setup.simulator, "inputs": ["/data"]})
+    answers = iter(["1.0", "1.1", "1.0", "1.0"])  # another file for a moment, while the simulator starts
+    machine.answer = lambda: next(answers)  # type: ignore[method-assign]  # a machine of this test
+    assert machine.run("1.0").tools == "1.1"
+    assert machine.simulator.closed == ["city"]
+    assert machine.run("1.0").refusal is None
 
 
 def test_an_upgrade_during_a_campaign_is_noticed_after_a_while(machine: Machine) -> None:

@@ -2,24 +2,31 @@
 
 import json
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from drivecal.contracts.evaluation import ReplayAnswer
+from drivecal.contracts.strict_json import unique_keys
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import BusyError, Declared, NoMeasuresError, RunOutcome
 
 MOST_SERIES_VALUES = 1_000_000
 """Limit of the values of all time series of a run."""
 _LONGEST_TEXT = 300
+_NONE = (None, False, "")
+"""Values of `error` and `busy` with which there is none."""
 
 
 def document(content: bytes, source: str) -> dict[str, Any]:
     """Returns the JSON object in `content`. Raises NoMeasuresError. The message names its `source`."""
     try:
-        value = json.loads(content)
+        value = json.loads(content, object_pairs_hook=unique_keys)
+    except InvalidInputError as error:
+        raise _error(f"{source}: {_shown(str(error))}") from None
     except (ValueError, RecursionError):
         hint = "; messages belong on standard error" if source == "the answer" else ""
         raise _error(f"{source} is not JSON: {_shown(content)}{hint}") from None
@@ -36,7 +43,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
     A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
     """
     refuse_busy(answer)
-    if answer.get("error") is not None:
+    if answer.get("error") not in _NONE:
         raise _error(f"the simulator reports: {_shown(str(answer['error']))}")
     failure, reported, recorded = answer.get("failure"), answer.get("measures"), answer.get("series", {})
     if failure is not None:
@@ -57,7 +64,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
 
 def refuse_busy(answer: Mapping[str, Any]) -> None:
     """Raises BusyError if an answer says why the simulator takes no run for now."""
-    if answer.get("busy") is not None:
+    if answer.get("busy") not in _NONE:
         raise BusyError(_shown(str(answer["busy"])))
 
 
@@ -69,7 +76,7 @@ def _kept(reported: object, has_value: Callable[[object], bool]) -> object:
 
 
 def _has_value(value: object) -> bool:
-    return value is not None and (not isinstance(value, float) or math.isfinite(value))
+    return value is not None and (not isinstance(value, (int, float)) or abs(value) <= sys.float_info.max)
 
 
 def _has_values(values: object) -> bool:

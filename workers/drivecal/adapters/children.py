@@ -127,7 +127,7 @@ class Children:
         else:
             ended = self.ended()
         if self._overflows and not self._scratch.is_spoilt:
-            self._scratch.clear(wholly=True)
+            self._scratch.clear()
             self._overflows = False
         return ended
 

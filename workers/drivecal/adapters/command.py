@@ -3,6 +3,7 @@
 The `probe` of a bundle is such a command as well: its output is the version of tools outside of the bundle.
 """
 
+import errno
 import json
 import os
 import stat
@@ -96,7 +97,7 @@ class CommandSession:
         self._scratch.remove()
 
     def _evaluate(self, parameters: Mapping[str, Argument], *, series: bool) -> RunOutcome:
-        self._scratch.clear(wholly=True)
+        self._scratch.clear()
         self._files["parameters"].write_text(json.dumps(dict(parameters), allow_nan=False))
         self._files["scenario"].write_text(self._scenario)
         try:
@@ -117,7 +118,8 @@ def _content(path: Path, tail: str) -> bytes:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError as error:
         messages = f"; its last messages: {tail}" if tail else ""
-        raise NoMeasuresError(Breakdown.ERROR, f"it wrote no results file: {error.strerror}{messages}") from None
+        fault = "the results file is a link" if error.errno == errno.ELOOP else f"it wrote no results file: {error.strerror}"
+        raise NoMeasuresError(Breakdown.ERROR, fault + messages) from None
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise NoMeasuresError(Breakdown.ERROR, "the results file is not a regular file")

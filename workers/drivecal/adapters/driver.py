@@ -42,6 +42,7 @@ def serve(prepare: Callable[[Mapping[str, Any]], Evaluate]) -> None:
         answers.flush()
 
     evaluate: Evaluate | None = None
+    own = os.getpid()
     for line in requests:
         request = json.loads(line)
         if "quit" in request:
@@ -62,6 +63,8 @@ def serve(prepare: Callable[[Mapping[str, Any]], Evaluate]) -> None:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
             answer = json.dumps({"id": request["id"], "error": described(error)})
+        if os.getpid() != own:
+            break  # a copy that the user's code has forked
         say(answer)
     sys.stdout.flush()
     sys.stderr.flush()

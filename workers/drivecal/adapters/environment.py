@@ -76,11 +76,11 @@ class Scratch:
             if path.name != MANIFEST:
                 (self.work / path.name).symlink_to(path)
 
-    def clear(self, *, wholly: bool = False) -> None:
-        """Empties the working directory and the folder of temporary files: locks and halves of files that a child has left would meet the
-        next one. Files that a driver unpacked next to them stay, unless `wholly`. Raises OSError if the folder is spoilt."""
+    def clear(self) -> None:
+        """Empties all folders: what a child has left, or changed in files that its driver unpacked, would meet the next one. Raises OSError
+        if the folder is spoilt."""
         self.renew()
-        for path in self.folder.iterdir() if wholly else [self.home]:
+        for path in self.folder.iterdir():
             if path != self.work:
                 discard(path)
         self.home.mkdir()

@@ -46,9 +46,7 @@ class Fmu:
         if not {fmpy.platform, fmpy.platform_tuple} & set(platforms):
             raise UnavailableError(f"{file.name} is built for {', '.join(platforms) or 'no platform'}, not for {fmpy.platform}")
         if not unpacked.is_dir():
-            partly = unpacked.with_name("fmu-partly")
-            fmpy.extract(str(file), unzipdir=str(partly))
-            partly.rename(unpacked)
+            fmpy.extract(str(file), unzipdir=str(unpacked))
         self.variables = {variable.name: variable for variable in self.model.modelVariables}
         self.described: Variables = {}
         with suppress(InvalidInputError):  # FMPy reads on; units and ranges are then not checked

@@ -63,12 +63,13 @@ def imported(file: Path) -> ModuleType:
 
 
 def answer(returned: object) -> Mapping[str, Any]:
-    """Returns the answer that a function's result means: measures, or a whole answer with `failure` or `measures` in it."""
+    """Returns the answer that a function's result means: measures, perhaps with a `failure`, or a whole answer with `measures` in it."""
     if not isinstance(returned, Mapping):
         raise TypeError(f"the function returned {type(returned).__name__}, not a dict of measures")
     if isinstance(returned.get("failure"), str) or isinstance(returned.get("measures"), Mapping):
         whole = dict(returned)
-        whole["measures"] = _plain(whole.get("measures") or {})
+        numbers = {name: value for name, value in _plain(returned).items() if isinstance(value, (int, float))}
+        whole["measures"] = numbers if whole.get("measures") is None else _plain(whole["measures"])
         if isinstance(whole.get("series"), Mapping):
             whole["series"] = {name: [_number(value) for value in values] for name, values in whole["series"].items()}
         return whole
@@ -79,7 +80,8 @@ def unpack(wheels: Path, packages: Path) -> Path:
     """Unpacks the wheels that fit this interpreter, once; returns the folder."""
     if packages.is_dir():
         return packages
-    size, partly = 0, packages.with_name(packages.name + "-partly")
+    size = 0
+    packages.mkdir(parents=True)
     for wheel in sorted(wheels.glob("*.whl")):
         if not fits(wheel.name):
             continue
@@ -87,9 +89,8 @@ def unpack(wheels: Path, packages: Path) -> Path:
             size += sum(entry.file_size for entry in archive.infolist())
             if size > MOST_BYTES:
                 raise ValueError(f"the wheels take more than {MOST_BYTES >> 30} GB")
-            archive.extractall(partly)
-    partly.mkdir(parents=True, exist_ok=True)
-    return partly.rename(packages)
+            archive.extractall(packages)
+    return packages
 
 
 def fits(name: str) -> bool:
@@ -105,8 +106,9 @@ def _plain(measures: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _number(value: Any) -> Any:
-    """Converts numbers of other libraries, e.g. of numpy."""
-    return value if isinstance(value, (int, float)) or not hasattr(value, "__float__") else float(value)
+    """Converts numbers of other libraries, e.g. of numpy; its truth values and complex numbers are none."""
+    is_number = getattr(getattr(value, "dtype", None), "kind", "f") in "iuf" and hasattr(value, "__float__")
+    return float(value) if is_number and not isinstance(value, (int, float)) else value
 
 
 if __name__ == "__main__":

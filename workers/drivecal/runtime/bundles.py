@@ -82,12 +82,12 @@ class Tools:
         self._answers[setup.bundle] = answer, began + age
         return answer
 
-    def check(self, setup: SetupRequest, folder: Callable[[], Path]) -> None:
-        """Raises OtherToolsError if the setup has other tools. The probe runs unless its last answer is recent and agrees."""
+    def check(self, setup: SetupRequest, folder: Callable[[], Path], *, again: bool = False) -> None:
+        """Raises OtherToolsError if the setup has other tools. The probe runs `again`, or if its last answer is old or differs."""
         if setup.tools is None:
             return
         answer, until = self._answers.get(setup.bundle, ("", 0.0))
-        if answer != setup.tools or self._clock() >= until:
+        if again or answer != setup.tools or self._clock() >= until:
             answer = self.ask(setup, folder())
         if answer != setup.tools:
             raise OtherToolsError(answer, setup.tools)
@@ -314,7 +314,14 @@ class BundleSessions:
     def _opened(self, setup: SetupRequest) -> SimulatorSession:
         folder = self._cache.folder(setup.bundle)
         simulator = self._simulators(setup.simulator)
-        return simulator.open(setup.simulator, setup.scenario, setup.data, folder, Declared.of(setup))
+        session = simulator.open(setup.simulator, setup.scenario, setup.data, folder, Declared.of(setup))
+        if setup.tools is not None and setup.simulator.get("inputs"):
+            try:
+                self._tools.check(setup, lambda: folder, again=True)  # it may have read a file that was another for a moment
+            except BaseException:
+                _close(session)
+                raise
+        return session
 
     def _drop(self, key: tuple[str, ...]) -> None:
         """Closes a session, which may be in any state."""

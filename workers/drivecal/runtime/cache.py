@@ -71,27 +71,34 @@ class BundleCache:
         """Returns the folder of a bundle whose content is that of its digest.
 
         The content is read again only if a file's size, mode or times are others than at the last check. Raises UnavailableError if the
-        bundle is not there, if others could change it, and if it was changed: then it is removed and sent again to the next worker.
+        bundle is not there, if others could change it, and if it was changed: then it is removed and sent again to the next worker, unless
+        it is an installed problem.
         """
-        if (own := installed(digest)) is not None:
-            return own.folder
-        folder = self._folder / digest
+        own = installed(digest)
+        folder = self._folder / digest if own is None else own.folder
         if not self.has(digest):
             reason = f": {self._failures[digest]}" if digest in self._failures else ""
             raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
-        _refuse_others(self._folder)
-        _refuse_others(folder)
+        if own is None:
+            _refuse_others(self._folder)
+            _refuse_others(folder)
         signature = _signature(folder)
         if self._signatures.get(digest) != signature:
             if not _has_digest(folder, digest):
                 self._signatures.pop(digest, None)
+                if own is not None:
+                    raise UnavailableError(
+                        f"the installed problem {own.manifest.problem} has changed while a worker used it: restart the server and the"
+                        " workers, and submit the campaign again"
+                    )
                 remove(folder)
                 raise UnavailableError(
                     f"the cached files of the bundle {digest} were changed on this machine, perhaps by its simulator; they are removed and"
                     " fetched again: let the simulator write into its working directory, and run workers as another user than root"
                 )
             self._signatures[digest] = signature
-        self._stamp(digest).touch(mode=0o600)
+        if own is None:
+            self._stamp(digest).touch(mode=0o600)
         return folder
 
     def store(self, digest: str, archive: bytes) -> None:

@@ -11,6 +11,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
+from tests.support.simulators import eventually, is_running
 
 from drivecal.adapters.driver import UnusableError
 from drivecal.highway.drive import controllers
@@ -174,6 +175,16 @@ def test_programs_get_the_signals_that_they_name(tmp_path: Path, signals: list[s
     assert list(program.step(SIGNALS)) == expected
     with pytest.raises(ProgramError):
         program.step(SIGNALS)  # ends and waits for it
+
+
+def test_a_program_ends_with_its_helpers_and_is_not_waited_for(tmp_path: Path) -> None:
+    """Although a helper holds its output."""
+    command = ["sh", "-c", "sleep 600 & echo $! > helper; exit 3"]
+    program = ProgramController({"command": command, "output": ["acceleration"]}, tmp_path, {}, 0.1)
+    with pytest.raises(ProgramError, match="exit code 3"):
+        program.begin({})
+    helper = int((tmp_path / "helper").read_text())
+    eventually(lambda: not is_running(helper))
 
 
 def test_a_line_too_many_that_comes_late_is_no_later_command(tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ import json
 import math
 import os
 import select
+import signal
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,6 +25,8 @@ from drivecal.highway.drive.geometry import NAMES
 LONGEST_LINE = 1 << 16
 """Largest answer in bytes."""
 EXTRA_LINE = "the controller wrote more than one line in answer to one"
+LOOK_MILLISECONDS = 500
+"""Time between looks whether a program that says nothing has ended."""
 END_SECONDS = 1.0
 """Time for a program that has closed its output to end."""
 
@@ -76,7 +80,7 @@ class ProgramController:
     def _start(self) -> None:
         try:
             self._process = subprocess.Popen(  # noqa: S603  # the user's program, limited like this process
-                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self._work, bufsize=0
+                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self._work, bufsize=0, process_group=0
             )
         except OSError as error:
             raise ProgramError(f"{self._command[0]} cannot be started: {error}") from error
@@ -106,7 +110,11 @@ class ProgramController:
     def _line(self) -> Any:
         received = b""
         while b"\n" not in received:
-            more = os.read(self._stdout, 65536)
+            has_ended = self._process is None or self._process.poll() is not None
+            is_said = bool(self._said.poll(0 if has_ended else LOOK_MILLISECONDS))
+            if not is_said and not has_ended:
+                continue
+            more = os.read(self._stdout, 65536) if is_said else b""  # a helper of a program that has ended may hold the pipe
             if not more:
                 raise self._ended()
             received += more
@@ -132,7 +140,8 @@ class ProgramController:
     def _stop(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            process.kill()
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)  # with its helpers
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
@@ -263,7 +272,7 @@ class Checked:
 
 def _is_finite(value: Any) -> bool:
     try:
-        return math.isfinite(value)
+        return not isinstance(value, np.complexfloating) and math.isfinite(value)
     except (TypeError, OverflowError):
         return False
 
