@@ -7,7 +7,7 @@ kernels, model arrays), inside `create`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, cast, runtime_checkable
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -235,27 +235,3 @@ class OptimizerPlugin(Named, Protocol):
         self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], kinds: Sequence[Kind] | None = None
     ) -> Optimizer:
         """Creates an optimizer that continues from `state`."""
-
-
-@dataclass(frozen=True)
-class Undeclared:
-    """A user's optimizer that does not say what it searches: it gets grids and integers without constraints, and is not told the kinds of
-    parameters. It might tabulate values, read an order into choices, or trust that its own proposals were run."""
-
-    plugin: Any
-    supports: frozenset[Ability] = frozenset({"grid", "integer"})
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.plugin, name)
-
-    def create(
-        self, settings: BaseModel, n_values: Indices, start: Indices | None = None, _: Sequence[Kind] | None = None
-    ) -> Optimizer:
-        """Creates the optimizer, see `OptimizerPlugin`."""
-        return cast("Optimizer", self.plugin.create(settings, n_values, start))
-
-    def restore(
-        self, settings: BaseModel, n_values: Indices, state: Mapping[str, Any], _: Sequence[Kind] | None = None
-    ) -> Optimizer:
-        """Creates an optimizer that continues from `state`, see `OptimizerPlugin`."""
-        return cast("Optimizer", self.plugin.restore(settings, n_values, state))

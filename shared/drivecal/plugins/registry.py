@@ -13,7 +13,7 @@ from typing import Any, cast
 
 from drivecal.contracts.inventory import BrokenPluginAnswer
 from drivecal.domain.errors import InvalidInputError, Problem
-from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Undeclared, Vehicle
+from drivecal.plugins.ports import Catalogue, DrivingFunction, Evaluator, OptimizerPlugin, Vehicle
 from drivecal.plugins.search import SearchPlugin
 from drivecal.plugins.simulators import InstalledSimulator
 
@@ -96,8 +96,6 @@ def _load(group: str, name: str) -> Any:
     (entry,) = entries
     try:
         plugin = entry.load()
-        if group == OPTIMIZERS and not hasattr(plugin, "supports"):
-            plugin = Undeclared(plugin)
         if group in _READ:
             _READ[group](plugin)
     except InvalidInputError:
