@@ -14,6 +14,7 @@ from tests.support.values import MIDDLE
 from drivecal.api import expectation
 from drivecal.api.http.queries import EvaluationsOf, TableOf
 from drivecal.api.routes.tables import list_evaluations, list_generations
+from drivecal.contracts.campaign import Pace
 from drivecal.domain.errors import NotFoundError
 
 SMALL: dict[str, Any] = {"name": "small", "sensitivity": None, "optimizer": {"population": 10, "iterations": 3}}
@@ -40,7 +41,8 @@ def test_a_submitted_campaign_is_accepted_and_found_at_its_location(api: Running
 
 
 def test_an_expected_time_holds_the_choice_of_cells(api: RunningApi, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(expectation, "pace", lambda *_: expectation.Pace(2.0, measured=True, workers=2))
+    known = Pace(milliseconds=2.0, measured=True, workers=2)
+    monkeypatch.setattr(expectation, "pace", lambda *given: known.model_copy(update={"seconds": given[-1] * 0.001}))
     url = "/api/v1/campaigns?validate_only=true"
     seconds = [api.http.post(url, json={"optimizer": {"kind": kind}}).json()["seconds"] for kind in ("surrogate", "random")]
     assert seconds == [pytest.approx(600 * (0.001 + 0.02)), pytest.approx(37.92)]

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from sqlalchemy import Connection
@@ -21,7 +21,7 @@ from drivecal.campaigns.resolve.workbench import moved, stored_bundles
 from drivecal.campaigns.results.front import StoredRanking
 from drivecal.campaigns.stages.prediction_validation import check_predictions, runs_at_most
 from drivecal.campaigns.stages.robustness import check_source
-from drivecal.contracts.campaign import STUDIES, ExpectedRuns
+from drivecal.contracts.campaign import STUDIES, ExpectedRuns, Pace
 from drivecal.contracts.comparison import ComparisonSpecification, ExpectedComparison
 from drivecal.contracts.outside.sets import ProposedSet
 from drivecal.contracts.specification import CampaignSpecification, GoalSpecification, MapReference, Values
@@ -39,22 +39,8 @@ ASSUMED_MILLISECONDS = 8.0
 """CPU time of one simulation in the built-in scenarios, on a machine of today."""
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """A simulation occupies a worker for `milliseconds`, `measured` in these setups or else assumed; `workers`: as many as resources allow
-    at a time, None if the dispatcher is silent."""
-
-    milliseconds: float
-    measured: bool
-    workers: int | None
-
-    def seconds(self, simulations: int) -> float | None:
-        """Returns the time that simulations take; None without workers."""
-        return None if self.workers is None else simulations * self.milliseconds / 1000 / self.workers
-
-
-def pace(connection: Connection, limits: Limits, bench: Bench) -> Pace:
-    """Returns the pace of a bench's simulations, whose resources exist."""
+def pace(connection: Connection, limits: Limits, bench: Bench, simulations: int) -> Pace:
+    """Returns the time of simulations of a bench, whose resources exist."""
     measured = runs.recent_milliseconds(connection, [setup.fingerprint for setup in bench.setups.values()])
     dispatcher = processes.read(connection, processes.DISPATCHER)
     workers = None
@@ -62,31 +48,32 @@ def pace(connection: Connection, limits: Limits, bench: Bench) -> Pace:
         exist, wanted = limits.settings.resources, [request.resources for request in bench.requests.values()]
         at_a_time = [exist[name] // count for each in wanted for name, count in each.items() if count]
         workers = min([len(dispatcher.detail.get("workers", [])), *at_a_time]) or None
-    return Pace(measured or ASSUMED_MILLISECONDS, measured is not None, workers)
+    each = measured or ASSUMED_MILLISECONDS
+    seconds = None if workers is None else simulations * each / 1000 / workers
+    return Pace(milliseconds=each, measured=measured is not None, workers=workers, seconds=seconds)
 
 
 def expected(database: Database, limits: Limits, specification: CampaignSpecification) -> ExpectedRuns:
     """Returns the expected cost of a campaign. Raises InvalidInputError and TooLargeError as `submit` does."""
     problem = checked(database, limits, specification)
+    runs = problem.expected_runs()
     with database.read() as connection:
         used = stored_parts(connection, problem)
-        known = pace(connection, limits, problem.bench)
         warnings = warnings_of(connection, problem, used, now())
-        of_predictions = runs_at_most(connection, problem)
+        runs = runs.model_copy(update={"validation": runs.validation + runs_at_most(connection, problem)})
         versions = [] if problem.specification.reduction.mode == "off" else earlier_versions(connection, problem.bench)
         claims = len(sample(connection, problem.bench, versions, problem.space, sys.maxsize))
         warnings += [] if claims else unclaimed(connection, problem.bench.bundle.digest, problem.bench.bundle.manifest)
+        at_most = claims + runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
+        known = pace(connection, limits, problem.bench, at_most)
     warnings += [f"claims of problem.yaml: {claims} stored cells at most are simulated again first"] if claims else []
-    runs = problem.expected_runs()
-    runs = runs.model_copy(update={"validation": runs.validation + of_predictions})
-    at_most = claims + runs.sensitivity_at_most + runs.calibration_at_most + sum(getattr(runs, study) for study in STUDIES)
     # nothing is known of a simulator that never ran
     guessed = not known.measured and not problem.bench.bundle.manifest.has_planner
-    seconds, chosen = known.seconds(at_most), problem.optimization
+    each, seconds, chosen = known.milliseconds, known.seconds, problem.optimization
     if seconds is not None and chosen is not None and chosen.plugin.name == "surrogate":
         seconds += runs.calibration_at_most * CELL_MILLISECONDS / 1000
-    time = {} if guessed else {"milliseconds": known.milliseconds, "measured": known.measured, "seconds": seconds}
-    notes = [*warnings, *runs.notes, *(advice(problem, runs.calibration_at_most, known.milliseconds) if known.measured else [])]
+    time = {} if guessed else {"milliseconds": each, "measured": known.measured, "seconds": seconds}
+    notes = [*warnings, *runs.notes, *(advice(problem, runs.calibration_at_most, each) if known.measured and each else [])]
     return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})
 
 
@@ -240,13 +227,12 @@ def expected_comparison(database: Database, limits: Limits, specification: Compa
     problem = checked_comparison(database, limits, specification)
     with database.read() as connection:
         compared_map(connection, problem)
-        known = pace(connection, limits, problem.problems[0].bench)
+        known = pace(connection, limits, problem.problems[0].bench, problem.at_most)
     return ExpectedComparison.of(
         known,
         runs=len(problem.runs),
         proposed=problem.proposed,
         at_most=problem.at_most,
-        seconds=known.seconds(problem.at_most),
         notes=list(dict.fromkeys(note for resolved in problem.problems for note in resolved.notes)),
     )
 

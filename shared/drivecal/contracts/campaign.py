@@ -400,7 +400,23 @@ class CampaignPage(Page[Campaign]):
     """A page of campaigns, newest first; `next_cursor` null on the last."""
 
 
-class ExpectedRuns(Answer):
+class Pace(Answer):
+    """The time that simulations take on the workers of this moment."""
+
+    milliseconds: float | None = None
+    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null before a user's own
+    simulator has run in these setups."""
+    measured: bool = False
+    """True if `milliseconds` was measured in these setups, false if it is assumed."""
+    workers: int | None = None
+    """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
+    seconds: float | None = None
+    """Upper limit of the simulations' time on the `workers`, without planning and predictions, and with 20 ms for each cell that the
+    `surrogate` of a campaign chooses, no other optimizer's time. Null if time or workers are unknown."""
+    notes: list[str] = []
+
+
+class ExpectedRuns(Pace):
     """Upper bounds of a campaign's cost: proposed cells by stage, and simulations without any reuse. `problem`: its name, as given."""
 
     problem: str = ""
@@ -411,17 +427,6 @@ class ExpectedRuns(Answer):
     calibration_at_most: int
     robustness: int
     validation: int
-    milliseconds: float | None = None
-    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits. Null before a user's own
-    simulator has run in these setups."""
-    measured: bool = False
-    """True if `milliseconds` was measured in these setups, false if it is assumed."""
-    workers: int | None = None
-    """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
-    seconds: float | None = None
-    """Upper limit of the simulations' time on the `workers`, with 20 ms for each cell that `surrogate` chooses, without planning and
-    predictions. Null if time or workers are unknown."""
-    notes: list[str] = []
 
 
 StudyName = Literal["robustness", "validation"]

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from drivecal.contracts.campaign import Answer
+from drivecal.contracts.campaign import Answer, Pace
 from drivecal.contracts.specification import (
     LARGEST_ITERATIONS,
     LARGEST_POPULATION,
@@ -65,7 +65,7 @@ class ComparisonSpecification(ProblemSpecification):
         return [each.beside(sensitivity) if isinstance(each, ReductionSpecification) else each for each in value]
 
 
-class ExpectedComparison(Answer):
+class ExpectedComparison(Pace):
     """Upper bounds of a comparison's cost: proposed cells, simulations without sharing between campaigns, and their time.
 
     Campaigns simulate together what they have in common, the start population first of all; so it will be less.
@@ -74,15 +74,6 @@ class ExpectedComparison(Answer):
     runs: int
     proposed: int
     at_most: int
-    milliseconds: float
-    """Time for which one simulation occupies a worker: CPU time, or wall-clock time if the simulator waits."""
-    measured: bool
-    """True if that was measured in these setups; else none was made yet, and it is assumed."""
-    workers: int | None
-    """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
-    seconds: float | None
-    """`at_most` simulations on the `workers`, without planning, optimizers and predictions; null if workers are unknown."""
-    notes: list[str] = Field(default_factory=list)
 
 
 class Improvement(Answer):

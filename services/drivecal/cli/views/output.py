@@ -29,8 +29,7 @@ from drivecal.cli.views.sections import (
     variants_table,
 )
 from drivecal.contracts.assignments import value_text
-from drivecal.contracts.campaign import Best, Campaign, CellCounts, ExpectedRuns
-from drivecal.contracts.comparison import ExpectedComparison
+from drivecal.contracts.campaign import Best, Campaign, CellCounts, Pace
 from drivecal.contracts.evaluation import Evaluation
 from drivecal.contracts.results import CampaignResults, ImportanceAnswer
 from drivecal.contracts.setup import ShapeAnswer
@@ -157,7 +156,7 @@ def _beside_text(campaign: Campaign) -> str:
     return text if beside is None else f"{text} (the best set under them: {objective_text(beside)})"
 
 
-def print_pace(expected: ExpectedRuns | ExpectedComparison) -> None:
+def print_pace(expected: Pace) -> None:
     """Prints how long the most simulations take, as far as it is known, and the notes."""
     workers = "1 worker" if expected.workers == 1 else f"{expected.workers} workers"
     how = "measured" if expected.measured else "assumed: none was made yet"
