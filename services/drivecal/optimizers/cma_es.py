@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from drivecal.contracts.specification import OptimizerSpecification
-from drivecal.domain.errors import InvalidInputError, Problem, ReplayError
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import BuiltIn
 from drivecal.optimizers.population import dump_floats, load_floats, ranking
@@ -88,8 +88,8 @@ class CmaEs:
         }
 
     def resume(self, state: Mapping[str, Any]) -> None:
-        """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space, and ReplayError at
-        the first proposal whose digest is another one.
+        """Replays all answers. Raises InvalidInputError if it belongs to a population of another size or another space, and at the first
+        proposal whose digest is another one.
         """
         self._first = self._population = fitting(np.array(state["first"], dtype=np.int64), self._first)
         self._digests = [_digest(self._first)]
@@ -103,10 +103,13 @@ class CmaEs:
             self._compare(state)
 
     def _compare(self, state: Mapping[str, Any]) -> None:
-        """Raises ReplayError if the last proposal is not the saved one."""
-        iteration, saved = len(self._digests) - 1, state["digests"]
+        """Raises InvalidInputError if the last proposal is not the saved one."""
+        iteration, saved, library = len(self._digests) - 1, state["digests"], state["library"]
         if self._digests[iteration:] != saved[iteration : iteration + 1]:
-            raise ReplayError(iteration, state["library"], self._library)
+            before = "it did when the campaign ran" if library == self._library else f"{library} did"
+            differs = f"for iteration {iteration}, {self._library} proposes another population than {before}"
+            remedy = "submit the campaign again: stored results answer the cells that were simulated"
+            raise InvalidInputError(Problem("", f"the search cannot be resumed: {differs}", remedy))
 
     def _begin(self, centre: Floats) -> Any:
         import cma

@@ -69,7 +69,7 @@ class ConflictError(DrivecalError):
 
 
 class NoResultError(DrivecalError):
-    """No result exists after all attempts."""
+    """No result exists after all attempts, or a vehicle cannot do what the scenario says."""
 
 
 class UnavailableError(DrivecalError):
@@ -102,27 +102,6 @@ class OverloadError(UnavailableError):
 
 class TooLargeError(InvalidInputError):
     """The input is valid but exceeds a limit of this server."""
-
-
-class ReplayError(DrivecalError):
-    """The replay of an optimizer's answers proposes another population than before.
-
-    `iteration`: the first that differs, from 0; `saved` and `installed`: the library with its version, then and now. `saved` is empty if
-    the state does not name it.
-    """
-
-    def __init__(self, iteration: int, saved: str, installed: str) -> None:
-        super().__init__(iteration, saved, installed)
-        self.iteration = iteration
-        self.saved = saved
-        self.installed = installed
-
-    def __str__(self) -> str:
-        before = f"{self.saved} did" if self.saved not in {"", self.installed} else "it did when the campaign ran"
-        return (
-            f"the search cannot be resumed: for iteration {self.iteration}, {self.installed} proposes another population than {before};"
-            " submit the campaign again: stored results answer the cells that were simulated"
-        )
 
 
 @contextmanager

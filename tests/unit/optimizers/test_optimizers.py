@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from scipy import stats
 from tests.support.effort import examples
 
-from drivecal.domain.errors import InvalidInputError, ReplayError
+from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
 from drivecal.optimizers.cma_es import CMA_ES
@@ -252,17 +252,15 @@ def test_a_refused_replay_names_the_first_iteration_that_differs(since: int, ask
     if digests == state["digests"]:
         CMA_ES.restore(SETTINGS, SMALL, changed)
         return
-    with pytest.raises(ReplayError) as refused:
+    with pytest.raises(InvalidInputError, match=rf"iteration {since}, {state['library']} proposes .* than cma 1.0 did; submit"):
         CMA_ES.restore(SETTINGS, SMALL, changed)
-    assert (refused.value.iteration, refused.value.saved, refused.value.installed) == (since, "cma 1.0", state["library"])
 
 
 def test_a_strategy_that_draws_otherwise_is_refused() -> None:
     saved = CMA_ES.create(SETTINGS, SMALL)
     drive(saved, 3, patchy)
-    with pytest.raises(ReplayError) as refused:
+    with pytest.raises(InvalidInputError, match=r"iteration 1, .* than it did when the campaign ran"):
         CMA_ES.restore(CMA_ES.settings(population=12, seed=8), SMALL, saved.state())
-    assert refused.value.iteration == 1
 
 
 def test_one_whose_library_is_missing_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from drivecal.bundles.highway import TrafficEntry
+from drivecal.domain.errors import NoResultError
 from drivecal.highway.drive import actions
-from drivecal.highway.drive.actions import ActionError, Actions, Moving
+from drivecal.highway.drive.actions import Actions, Moving
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 
 STEP = 0.5
@@ -191,7 +192,7 @@ def test_a_vehicle_changes_to_the_lane_beside(sumo: SimpleNamespace, target: dic
 
 def test_a_lane_that_is_not_there_is_named(sumo: SimpleNamespace) -> None:
     assert sumo.road == "e0"
-    with pytest.raises(ActionError, match="lane 3"):
+    with pytest.raises(NoResultError, match="lane 3"):
         act(of({"do": "cut_in", "time": 0, "by": 3}), 0)
 
 

@@ -21,7 +21,6 @@ from drivecal.highway.drive.controllers import (
     FunctionController,
     LoadedFmuController,
     ProgramController,
-    ProgramError,
 )
 from drivecal.highway.drive.geometry import NAMES
 
@@ -173,7 +172,7 @@ def test_programs_get_the_signals_that_they_name(tmp_path: Path, signals: list[s
     program = ProgramController(section | {"signals": signals}, tmp_path, {}, 0.1)
     program.begin({})
     assert list(program.step(SIGNALS)) == expected
-    with pytest.raises(ProgramError):
+    with pytest.raises(ControllerError):
         program.step(SIGNALS)  # ends and waits for it
 
 
@@ -199,5 +198,5 @@ def test_a_line_too_many_that_comes_late_is_no_later_command(tmp_path: Path) -> 
         connection.wait([program._stdout])
         program.step(SIGNALS)
 
-    with pytest.raises(ProgramError, match="more than one line"):
+    with pytest.raises(ControllerError, match="more than one line"):
         drive()

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivecal.bundles.highway import TrafficEntry
 from drivecal.bundles.highway_actions import EGO, Action, Brake, Condition, CutIn, Drift, Meet, Trigger, Wait
-from drivecal.domain.errors import DrivecalError
+from drivecal.domain.errors import NoResultError
 from drivecal.highway import sumo
 from drivecal.highway.sumo import FREE, FREE_BUT_SAFE, MODEL
 from drivecal.roads.lines import lengths
@@ -165,10 +165,6 @@ SHORTEST, SLOWEST_BRAKING = 0.1, 0.1
 """Seconds of a motion to the side at least; least speed (m/s) that divides a distance."""
 PEAK_SPEED, PEAK_ACCELERATION = 1.875, 10.0 / sqrt(3.0)
 """Largest speed and acceleration of a motion of least jerk, per its mean speed, and per way / seconds²."""
-
-
-class ActionError(DrivecalError):
-    """A vehicle cannot do what the scenario says, e.g. cut into a lane that does not exist."""
 
 
 Lateral = Callable[[float, float, float], float]
@@ -392,7 +388,7 @@ class Actions:
             base = min(range(count), key=lambda lane: abs(centres[lane] - left))
             target_lane = base + (action.by or 0)
         if not 0 <= target_lane < count:
-            raise ActionError(
+            raise NoResultError(
                 f"{name} cannot cut into lane {target_lane} of edge {edge} at {moment.time:g} s, which has {count} lanes"
             )
         way = centres[target_lane] - offset
@@ -427,7 +423,7 @@ class Actions:
     def _left(self, name: str, other: str, moment: Moment) -> float:
         """Returns how far to the left of a vehicle the lane of another one is (m)."""
         if other not in moment.vehicles or isnan(moment.vehicles[other].s):
-            raise ActionError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the road")
+            raise NoResultError(f"{name} cannot change to the lane of {other} at {moment.time:g} s: it has left the road")
         own, there = moment.vehicles[name], moment.vehicles[other]
         left = self._lateral(there.s, there.d, own.s) - own.d
         return left if own.speed >= 0.0 else -left

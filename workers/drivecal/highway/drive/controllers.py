@@ -31,8 +31,8 @@ END_SECONDS = 1.0
 """Time for a program that has closed its output to end."""
 
 
-class ProgramError(DrivecalError):
-    """The program ended, or its answer is not a frame."""
+class ControllerError(DrivecalError):
+    """A controller raised an exception, ended, or gave something else than its commands."""
 
 
 class ProgramController:
@@ -52,7 +52,7 @@ class ProgramController:
         self._stdin = self._stdout = -1
 
     def begin(self, parameters: Mapping[str, Any]) -> None:
-        """Tells the program of a run, and waits until it is ready. Raises ProgramError."""
+        """Tells the program of a run, and waits until it is ready. Raises ControllerError."""
         self._number += 1
         try:
             if self._process is None:
@@ -63,7 +63,7 @@ class ProgramController:
             raise
 
     def step(self, signals: Sequence[float]) -> Sequence[Any]:
-        """Returns the program's commands, unchecked. Raises ProgramError."""
+        """Returns the program's commands, unchecked. Raises ControllerError."""
         try:
             chosen = [signals[index] for index in self._indices]
             self._send(json.dumps(dict(zip(self._signals, chosen, strict=True))).encode() + b"\n")
@@ -71,7 +71,7 @@ class ProgramController:
             if len(self._output) == 1 and isinstance(answer, (int, float)):
                 return (answer,)
             if not isinstance(answer, dict) or answer.keys() != set(self._output):
-                raise ProgramError(f"the controller answered {answer!r:.200}, not an object of {', '.join(self._output)}")
+                raise ControllerError(f"the controller answered {answer!r:.200}, not an object of {', '.join(self._output)}")
             return [answer[name] for name in self._output]
         except BaseException:
             self._stop()
@@ -83,7 +83,7 @@ class ProgramController:
                 self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self._work, bufsize=0, process_group=0
             )
         except OSError as error:
-            raise ProgramError(f"{self._command[0]} cannot be started: {error}") from error
+            raise ControllerError(f"{self._command[0]} cannot be started: {error}") from error
         assert self._process.stdin is not None  # noqa: S101  # for the type checker
         assert self._process.stdout is not None  # noqa: S101  # for the type checker
         self._stdin, self._stdout = self._process.stdin.fileno(), self._process.stdout.fileno()
@@ -96,12 +96,12 @@ class ProgramController:
         self._send(json.dumps(message, allow_nan=False).encode() + b"\n")
         answer = self._line()
         if not isinstance(answer, dict) or answer.get("ready") is not True:
-            raise ProgramError(f'the controller answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
+            raise ControllerError(f'the controller answered {answer!r:.200} to {next(iter(message))}, not {{"ready": true}}')
 
     def _send(self, content: bytes) -> None:
         try:
             if self._said.poll(0) and os.read(self._stdout, 1):
-                raise ProgramError(EXTRA_LINE)
+                raise ControllerError(EXTRA_LINE)
             while content:
                 content = content[os.write(self._stdin, content) :]
         except OSError:
@@ -119,23 +119,25 @@ class ProgramController:
                 raise self._ended()
             received += more
             if len(received) > LONGEST_LINE:
-                raise ProgramError(f"the controller wrote a line of more than {LONGEST_LINE >> 10} kB")
+                raise ControllerError(f"the controller wrote a line of more than {LONGEST_LINE >> 10} kB")
         line, _, rest = received.partition(b"\n")
         if rest:
-            raise ProgramError(EXTRA_LINE)
+            raise ControllerError(EXTRA_LINE)
         try:
             return json.loads(line)
         except (ValueError, RecursionError):
-            raise ProgramError(f"the controller's answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
+            raise ControllerError(f"the controller's answer is not JSON: {line[:200].decode(errors='replace')!r}") from None
 
-    def _ended(self) -> ProgramError:
+    def _ended(self) -> ControllerError:
         """Returns the error of a program that has closed its pipes; its messages are on standard error."""
         try:
             status = None if self._process is None else self._process.wait(END_SECONDS)
         except subprocess.TimeoutExpired:
-            return ProgramError("the controller closed its standard input or output")
+            return ControllerError("the controller closed its standard input or output")
         killed = status is not None and status < 0
-        return ProgramError(f"the controller {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}")
+        return ControllerError(
+            f"the controller {'was killed by signal' if killed else 'ended with exit code'} {abs(status or 0)}"
+        )
 
     def _stop(self) -> None:
         process, self._process = self._process, None
@@ -146,10 +148,6 @@ class ProgramController:
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
                     pipe.close()
-
-
-class ControllerError(DrivecalError):
-    """A controller raised an exception, ended, or gave something else than its commands."""
 
 
 class Controller(Protocol):

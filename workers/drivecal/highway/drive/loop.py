@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drivecal.domain.errors import DrivecalError, InvalidInputError, Problem
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.domain.roads import Floats
 from drivecal.highway import geometry as shared
 from drivecal.highway.compilation import compiled_with
@@ -56,10 +56,6 @@ Returns FOLLOWED, UNSTABLE or OFF_ROAD. Raises ValueError if the trajectory is t
 Watcher = Callable[[Traffic, Floats, Floats | None], None]
 """Sees a run at the start and after each step of the traffic: the others, the ego vehicle's pose, and the trajectory if the step began
 with a new one. The next step overwrites the arrays."""
-
-
-class StartError(DrivecalError):
-    """The ego vehicle cannot start where the scenario places it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,14 +110,14 @@ class Loop:
         self._wanted = max(distance_at_limit(road.line[:, 0], limits, traffic.start_s, self._finish, scenario.duration), 1e-9)
 
     def prepare(self) -> None:
-        """Compiles or loads all kernels, which would take seconds of the first run. Raises StartError and TrafficError.
+        """Compiles or loads all kernels, which would take seconds of the first run. Raises InvalidInputError and TrafficError.
 
         It leaves the warm-up out, whose kernels concern vehicles that enter and that overlap.
         """
         traffic = self._traffic
         traffic.reset(is_warm=False)
         if not self._begin():
-            raise StartError(f"scenarios.{traffic.name}.ego: it starts off the road; move it into its lane")
+            raise InvalidInputError(Problem(f"scenarios.{traffic.name}.ego", "it starts off the road", "move it into its lane"))
         self._check_apart()
         geometry.settle(
             self._road.line, self._road.lanes, traffic.neighbours, traffic.outlines, self._motion, self._pose, self._rows
@@ -134,15 +130,15 @@ class Loop:
             self._mover(model, PATH)(self._path, 0.0, 0.0, 0.0, 0)
 
     def _check_apart(self) -> None:
-        """Raises StartError if two vehicles overlap that start at time 0; vehicles of the warm-up leave them room."""
+        """Raises InvalidInputError if two vehicles overlap that start at time 0; vehicles of the warm-up leave them room."""
         traffic, size = self._traffic, self._motion[geometry.SIZE : geometry.SIZE + 2]
         names = [*traffic.names[: traffic.starting], "ego"]
         starts = np.vstack([traffic.outlines[: traffic.starting, :5], [*self._pose[:3], *size]])
         for row, (x, y, heading, *half) in enumerate(starts.tolist()):  # the first for the kernel alone
             other = hit(starts[:row], np.array([x, y, heading, 0.0, 0.0, 0.0, 0.0, 0.0]), np.array(half))
             if other >= 0:
-                message = f"{names[row]} starts inside of the vehicle {names[other]}; place them farther apart"
-                raise StartError(f"scenarios.{traffic.name}: {message}")
+                message = f"{names[row]} starts inside of the vehicle {names[other]}"
+                raise InvalidInputError(Problem(f"scenarios.{traffic.name}", message, "place them farther apart"))
 
     def _begin(self) -> bool:
         """Puts the ego vehicle to its start; returns whether it is on the road."""

@@ -12,9 +12,10 @@ import numba
 
 from drivecal.adapters.confinement import confine, ruleset
 from drivecal.bundles.highway import HighwaySimulator
+from drivecal.domain.errors import InvalidInputError, Problem
 from drivecal.highway.drive.control import CommandControl
 from drivecal.highway.drive.controllers import Checked, ControllerError, FunctionController
-from drivecal.highway.drive.loop import Loop, StartError
+from drivecal.highway.drive.loop import Loop
 from drivecal.highway.drive.measures import measures
 from drivecal.highway.drive.traffic import Traffic, TrafficError
 from drivecal.highway.vehicle.model import SingleTrackModel
@@ -23,7 +24,7 @@ from drivecal.highway.vehicle.model import SingleTrackModel
 def rehearse(simulator: HighwaySimulator, traffic: Traffic, model: SingleTrackModel) -> None:
     """Drives the scenario once without the user's code and the warm-up, straight on.
 
-    Raises StartError and TrafficError.
+    Raises InvalidInputError and TrafficError.
     """
     controller = simulator.controller
     period = simulator.step if controller.period is None else controller.period
@@ -38,14 +39,15 @@ def hold(writable: Sequence[str], scratch: Path) -> None:
     """Confines this process to the folders that it may still change, and lets numba store a user's own kernels in the `scratch` folder.
 
     Call it before a user's code is loaded. Does nothing where the kernel has no Landlock. It holds for this thread and its later
-    threads. Raises StartError if there are others: a user's code could let them write.
+    threads. Raises InvalidInputError if there are others: a user's code could let them write.
     """
     rules = ruleset(writable)
     if rules is None:
         return
     if len(list(Path("/proc/self/task").iterdir())) > 1:
         os.close(rules)
-        raise StartError("simulator.environment: numpy has several threads; kind highway takes 1 (OPENBLAS_NUM_THREADS)")
+        remedy = "kind highway takes 1 (OPENBLAS_NUM_THREADS)"
+        raise InvalidInputError(Problem("simulator.environment", "numpy has several threads", remedy))
     confine(rules)
     os.close(rules)
     folder = scratch / "kernels"
