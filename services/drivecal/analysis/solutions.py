@@ -282,11 +282,9 @@ class Ranking:
         runs = len(self.seeds(solution.parameter_set))
         return *self._levels[solution.parameter_set], -runs, rating, solution.iteration, solution.individual
 
-    def uncertainty(self, best: EvaluatedSet) -> dict[str, Any]:
-        """Returns the uncertainty of the best set's objective, how many sets cannot be told from it, and the noise of each scenario."""
-        names = ("replicates", "failures", "standard_error", "lower", "upper", "probability_best")
-        close = sum(each.is_close for each in self._solutions.values())
-        return {name: getattr(best, name) for name in names} | {"close": close, "noise": self._noise()}
+    def close(self) -> int:
+        """Returns how many sets cannot be told from the best one."""
+        return sum(each.is_close for each in self._solutions.values())
 
     def failed_runs(self, parameter_set: int) -> tuple[int, int]:
         """Returns the number of a set's failed runs, and of its runs: only runs that report it, if there are any."""
@@ -295,7 +293,7 @@ class Ranking:
         cells = [cell.failed for seed in used for cell in runs[seed].values()]
         return sum(cells), len(cells)
 
-    def _noise(self) -> dict[str, float]:
+    def noise(self) -> dict[str, float]:
         """Returns the deviation of a run's score by scenario, without what sets have in common, as far as it is known."""
         noise: dict[str, float] = {}
         repeated = sorted(self._samples)

@@ -182,7 +182,7 @@ def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
     best = present(ranking.best())
     assert (best[0].parameter_set, best[0].objective) == (1, 1.5)
     assert best[0].lower is not None
-    assert ranking.uncertainty(best[0])["close"] == 2, "two differences of runs tell no set from the best one"
+    assert ranking.close() == 2, "two differences of runs tell no set from the best one"
 
 
 def test_second_runs_go_to_several_sets_before_the_noise_is_known() -> None:
@@ -218,7 +218,7 @@ def test_the_noise_of_each_scenario_is_told() -> None:
             values = {"S1": number + seed + 0.1 * random.normal(), "S2": 2 * number + 0.4 * random.normal()}
             ranking.add(one_run(number, seed, value, name) for name, value in values.items())
     best = present(ranking.best())
-    assert ranking.uncertainty(best[0])["noise"] == pytest.approx({"S1": 0.1, "S2": 0.4}, rel=0.3)
+    assert ranking.noise() == pytest.approx({"S1": 0.1, "S2": 0.4}, rel=0.3)
     assert ranking.failed_runs(best[0].parameter_set) == (0, 8)
 
 
@@ -346,7 +346,8 @@ def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> 
     ranking = Ranking({"S1": 1}, goals, USUAL)
     ranking.add(cells)
     ranking.add([replace(cells[0], seed=5, failed=True, values={})])
-    assert ranking.uncertainty(ranking.best_first()[0])["close"] == 0
+    assert ranking.best_first()
+    assert ranking.close() == 0
 
 
 def test_reports_with_equal_scores_have_an_interval() -> None:

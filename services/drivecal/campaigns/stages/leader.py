@@ -50,17 +50,15 @@ class Leader:
             self.surest = None if surest is None else surest.objective
             number, before, goals = solution.parameter_set, self.best, self._problem.goals
             parameters = parameter_sets.load(connection, [number])[number]
-            self.best = Best(
-                objective=solution.objective,
+            self.best = Best.of(
+                solution,
                 parameters=parameters.floats,
-                scores=dict(solution.scores),
                 alternatives=alternatives,
-                violation=solution.violation,
                 undecided=solution.is_undecided,
                 constraints=goals.named_bounds(solution.judgement),
-                failed=list(solution.failed),
                 failure_interval=rate_bounds(*self._ranking.failed_runs(number)) if solution.replicates > 1 else None,
-                **self._ranking.uncertainty(solution),
+                close=self._ranking.close(),
+                noise=self._ranking.noise(),
             )
             changed = before is None or not same(solution.objective, before.objective, solution.span)
             if before is not None and self.best.parameters != before.parameters:
@@ -90,17 +88,15 @@ class Leader:
         solution = self._ranking.get(number)
         gain, is_close = self._ranking.gain_over(number, random=self._problem.bench.is_random)
         beside = None if solution is None else self._ranking.beside_best(number, solution.seeds)
-        self.baseline = Baseline(
-            objective=None if solution is None else solution.objective,
+        missing = {"objective": None, "scores": dict.fromkeys(self._problem.scenarios)}
+        self.baseline = Baseline.of(
+            solution,
             parameters=baseline.floats,
-            scores=dict.fromkeys(self._problem.scenarios) if solution is None else dict(solution.scores),
-            violation=0.0 if solution is None else solution.violation,
-            undecided=solution is not None and solution.is_undecided,
             close=is_close,
             gain=gain,
-            seeds=[] if solution is None else list(solution.seeds),
             best_objective=None if beside is None else beside[0].objective,
             best_scores={} if beside is None else dict(beside[0].scores),
+            **(missing if solution is None else {"undecided": solution.is_undecided}),
         )
 
     def notes(self) -> list[str]:
