@@ -179,46 +179,29 @@ def _process(folder: Path, document: Mapping[str, Any]) -> Callable[..., Any]:
     return simulate
 
 
-def motorway() -> EconomyProblem:
-    """The built-in motorway, S1 to S6."""
-    from tests.benchmarks.evaluation import runner_of
-
-    from drivecal.highway.comfort.reference import REFERENCE
-    from drivecal.highway.planner.plugin import FRENET
-    from drivecal.highway.scenarios import HIGHWAY
-
-    runner = cache(lambda scenario: runner_of(HIGHWAY.scenarios[scenario]))
-
-    def run(parameters: Mapping[str, Any], scenario: str) -> float | None:
-        result = runner(scenario).run(list(parameters.values()))
-        rated_as = HIGHWAY.scenarios[scenario].rated_as
-        return None if result.failure else float(REFERENCE.rate(rated_as, result.measures).rating)
-
-    searched = ParameterSpace(FRENET.spaces["highway"])
-    return EconomyProblem("motorway", searched, tuple(HIGHWAY.scenarios), COMFORT, run, Constraints(searched))
-
-
-def random_motorway() -> EconomyProblem:
-    """The built-in random motorway, S1r to S6r."""
+def motorway(*, random: bool = False) -> EconomyProblem:
+    """The built-in motorway, S1 to S6, or the random one, S1r to S6r."""
     from tests.benchmarks.evaluation import runner_of
 
     from drivecal.bundles.installed import installed_problems
     from drivecal.highway.comfort.reference import REFERENCE
     from drivecal.highway.planner.plugin import FRENET
-    from drivecal.highway.scenarios import RANDOM_FOLDER, scenario_of
+    from drivecal.highway.scenarios import HIGHWAY, RANDOM_FOLDER, scenario_of
 
-    declared = installed_problems()["highway-random"].manifest.scenarios
+    declared = installed_problems()["highway-random"].manifest.scenarios if random else {}
+    scenarios = {name: scenario_of(name, data, RANDOM_FOLDER) for name, data in declared.items()} or HIGHWAY.scenarios
 
     @lru_cache(240)
-    def runner(scenario: str, seed: int) -> Any:
-        return runner_of(replace(scenario_of(scenario, declared[scenario], RANDOM_FOLDER), seed=seed))
+    def runner(scenario: str, *seed: int) -> Any:
+        return runner_of(replace(scenarios[scenario], seed=seed[0]) if seed else scenarios[scenario])
 
-    def run(parameters: Mapping[str, Any], scenario: str, seed: int) -> float | None:
-        result = runner(scenario, seed).run(list(parameters.values()))
-        return None if result.failure else float(REFERENCE.rate(declared[scenario]["rated_as"], result.measures).rating)
+    def run(parameters: Mapping[str, Any], scenario: str, *seed: int) -> float | None:
+        result = runner(scenario, *seed).run(list(parameters.values()))
+        return None if result.failure else float(REFERENCE.rate(scenarios[scenario].rated_as, result.measures).rating)
 
     searched = ParameterSpace(FRENET.spaces["highway"])
-    return EconomyProblem("random_motorway", searched, tuple(declared), COMFORT, run, Constraints(searched))
+    name = "random_motorway" if random else "motorway"
+    return EconomyProblem(name, searched, tuple(scenarios), COMFORT, run, Constraints(searched))
 
 
 UNIT = Scale("cost", Direction.MINIMISE, lower=0.0, upper=10.0, tolerance=0.1, failed=20.0)
@@ -277,5 +260,5 @@ PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
 @cache
 def problem(name: str, folder: Path | None = None) -> EconomyProblem:
     """Returns a problem of `PROBLEMS`, or `random_motorway`, with its answers stored in a folder."""
-    made = random_motorway() if name == "random_motorway" else PROBLEMS[name]()
+    made = motorway(random=True) if name == "random_motorway" else PROBLEMS[name]()
     return made if folder is None else replace(made, stored=folder / f"{name}.jsonl")
