@@ -23,8 +23,8 @@ from tests.support.hostile import (
     push,
     push_attacker,
 )
-from tests.support.serve import Server, alive, serving
-from tests.support.simulators import eventually, running
+from tests.support.serve import Server, alive, serving, until
+from tests.support.simulators import running
 
 from drivecal.client import Client
 from drivecal.cluster.homes import remember
@@ -91,5 +91,5 @@ def test_an_attack_costs_its_cell_alone(tmp_path: Path, monkeypatch: pytest.Monk
         assert {worker.id for worker in client.workers().items} == workers
         assert processes(server) == family
         # forks have no mark, but the folder of their run
-        eventually(lambda: running(mark) == [] and len(inside(temporary)) <= IDLE)
-    eventually(lambda: running(mark) == [] and inside(temporary) == [] and list(temporary.rglob("drivecal-run-*")) == [])
+        until(lambda: running(mark) == [] and len(inside(temporary)) <= IDLE)
+    until(lambda: running(mark) == [] and inside(temporary) == [] and list(temporary.rglob("drivecal-run-*")) == [])

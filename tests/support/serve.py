@@ -24,7 +24,7 @@ def environment(folder: Path, workers: int = 1) -> dict[str, str]:
     return kept | {"HOME": str(folder), "DRIVECAL_HOME": str(folder / "home"), "DRIVECAL_WORKERS": str(workers)}
 
 
-def until(condition: Callable[[], bool], what: str, seconds: float = 300.0) -> None:
+def until(condition: Callable[[], object], what: str = "what was awaited", seconds: float = 300.0) -> None:
     """Waits for `condition`; AssertionError where it takes too long."""
     deadline = time.monotonic() + seconds
     while not condition():

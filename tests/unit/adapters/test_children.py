@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from tests.support.serve import until
 from tests.support.simulators import (
     PYTHON,
     compiled,
-    eventually,
     hung,
     is_running,
     lost,
@@ -95,7 +95,7 @@ def test_daemons_that_leave_the_group_end_too(tmp_path: Path, mark: str) -> None
     body = f"subprocess.run([sys.executable, '-S', '-c', {DAEMON!r}, {mark!r}])"
     with served(tmp_path, body) as session:
         session.evaluate({"x": 1.0})
-        eventually(lambda: len(running(mark)) == 1)
+        until(lambda: len(running(mark)) == 1)
     assert running(mark) == []
 
 
@@ -150,8 +150,8 @@ def test_programs_may_clean_up_when_their_worker_ends(tmp_path: Path, monkeypatc
     with opened("process", tmp_path, command=["./run.sh"]) as session:
         session.evaluate({"x": 1.0})
         session._children._control.shutdown(socket.SHUT_RDWR)  # type: ignore[attr-defined]  # as the end of the worker does
-        eventually(out.exists, 10.0)
-        eventually(lambda: not scratch_of(session).folder.exists(), 10.0)
+        until(out.exists, seconds=10.0)
+        until(lambda: not scratch_of(session).folder.exists(), seconds=10.0)
     assert out.read_text() == "cleaned"
 
 
@@ -188,7 +188,7 @@ def test_a_child_that_kills_its_keeper_costs_its_run_and_session_only(tmp_path: 
         with pytest.raises(PermissionError):
             session.evaluate({"x": 2.0})
     assert not scratch_of(session).folder.exists()
-    eventually(lambda: running(mark) == [])
+    until(lambda: running(mark) == [])
     with served(tmp_path, body) as another:
         assert another.evaluate({"x": 2.0}).measures == {"y": 4.0}
 
@@ -203,7 +203,7 @@ def test_a_child_that_stops_its_keeper_costs_its_run_and_session_only(tmp_path: 
         hung(session, {"x": 1.0}, 5.0)
         with pytest.raises(PermissionError):
             session.evaluate({"x": 2.0})
-    eventually(lambda: running(mark) == [] and not is_running(stopped))
+    until(lambda: running(mark) == [] and not is_running(stopped))
 
 
 def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str) -> None:
@@ -226,10 +226,10 @@ def test_everything_ends_with_a_worker_that_is_killed(tmp_path: Path, mark: str)
         try:
             scratch = Path(process.stdout.readline().strip())
             assert scratch.is_dir()
-            eventually(lambda: len([child for child in running(mark) if child.pid != process.pid]) == 2)
+            until(lambda: len([child for child in running(mark) if child.pid != process.pid]) == 2)
         finally:
             process.kill()
-    eventually(lambda: running(mark) == [] and not scratch.exists())
+    until(lambda: running(mark) == [] and not scratch.exists())
 
 
 def test_memory_of_all_processes_together_is_limited(tmp_path: Path) -> None:
@@ -367,7 +367,7 @@ def test_cpu_time_of_a_lost_run_counts(tmp_path: Path, body: str) -> None:
 
 def test_descendants_are_found_and_none_besides(mark: str) -> None:
     with subprocess.Popen(["sh", "-c", f"{sys.executable} -S -c 'import time; time.sleep(600)' {mark}; exit 0"]) as process:
-        eventually(lambda: len(keeper.descendants(process.pid)) == 1)
+        until(lambda: len(keeper.descendants(process.pid)) == 1)
         (sleeper,) = keeper.descendants(process.pid)
         assert sleeper.parent == process.pid
         assert process.pid in [seen.pid for seen in keeper.descendants(os.getpid())]

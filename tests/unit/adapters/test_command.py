@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import eventually, hung, lost, opened, running, scratch_of, write_script
+from tests.support.serve import until
+from tests.support.simulators import hung, lost, opened, running, scratch_of, write_script
 
 from drivecal.adapters.environment import GRANTED
 from drivecal.adapters.kinds import simulator_of
@@ -138,7 +139,7 @@ def test_the_scratch_folder_is_removed(tmp_path: Path) -> None:
         session.evaluate({"x": 2})
         folder = scratch_of(session).folder
         assert json.loads((folder / "scenario.json").read_text()) == {"k": 3}
-    eventually(lambda: not folder.exists())
+    until(lambda: not folder.exists())
 
 
 @pytest.mark.parametrize("kind", VERSIONS)

@@ -11,18 +11,8 @@ from unittest.mock import Mock
 
 import psutil
 import pytest
-from tests.support.simulators import (
-    DECLARED,
-    PYTHON,
-    eventually,
-    hung,
-    lost,
-    opened,
-    scratch_of,
-    served,
-    write_script,
-    write_server,
-)
+from tests.support.serve import until
+from tests.support.simulators import DECLARED, PYTHON, hung, lost, opened, scratch_of, served, write_script, write_server
 
 from drivecal.adapters import kinds, pipes, process
 from drivecal.adapters.environment import GRANTED, environment
@@ -109,7 +99,7 @@ def test_an_answer_that_is_there_counts_if_the_worker_was_stopped(tmp_path: Path
         step = pipes.Pipes._step
 
         def stopped(self: pipes.Pipes, deadline: float, seconds: float) -> None:
-            eventually(lambda: self._poll.poll(0) and time.monotonic() > deadline)
+            until(lambda: self._poll.poll(0) and time.monotonic() > deadline)
             step(self, deadline, seconds)
 
         with monkeypatch.context() as patch:
@@ -198,7 +188,7 @@ for folder in ('.', os.environ['HOME'], os.environ['TMPDIR']):
                 session._timeout = 2.0
                 session.evaluate({"x": 1.0})
             session._timeout = 60.0
-            eventually(lambda: session._pipes is None or not session._pipes.is_fresh())
+            until(lambda: session._pipes is None or not session._pipes.is_fresh())
             assert session.evaluate({"x": 2.0}).measures == {"y": 4.0}
         assert not (session._scratch.folder / "packages").exists()
 
@@ -226,7 +216,7 @@ def test_what_a_process_does_between_two_runs_costs_no_run(tmp_path: Path, betwe
     with served(tmp_path, f"answer(id=request['id'], measures=dict(y=1.0))\n{between}") as session:
         for _ in range(3):
             assert session.evaluate({"x": 1.0}).measures == {"y": 1.0}
-            eventually(lambda: not session._pipes.is_fresh())
+            until(lambda: not session._pipes.is_fresh())
 
 
 @pytest.mark.slow

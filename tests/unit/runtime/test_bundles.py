@@ -16,7 +16,8 @@ from unittest.mock import Mock
 
 import pytest
 from tests.support.problems import REPLAY
-from tests.support.simulators import eventually, running
+from tests.support.serve import until
+from tests.support.simulators import running
 from tests.support.values import present
 
 from drivecal.adapters import children, process
@@ -321,7 +322,7 @@ threading.Thread(target=multiply, daemon=True).start()
     assert opened.run(setup, Cell(1, {"x": 2.0})).metrics == {"a": 2.0}
     assert running(mark)
     go.touch()
-    eventually(lambda: not running(mark))
+    until(lambda: not running(mark))
     go.unlink()
     assert opened.run(setup, Cell(2, {"x": 3.0})).metrics == {"a": 3.0}
 

@@ -8,7 +8,8 @@ import tempfile
 from pathlib import Path
 
 import pytest
-from tests.support.simulators import as_another_user, eventually, lost, nest, scratch_of, served
+from tests.support.serve import until
+from tests.support.simulators import as_another_user, lost, nest, scratch_of, served
 
 from drivecal.adapters import children, files
 from drivecal.adapters.files import remove
@@ -111,7 +112,7 @@ def test_a_process_that_hides_its_files_is_told_from_one_that_has_ended() -> Non
 
     def looks(folder: Path) -> None:
         ended = subprocess.Popen(["true"], cwd=folder)  # not waited for
-        eventually(lambda: b") Z " in Path(f"/proc/{ended.pid}/stat").read_bytes())
+        until(lambda: b") Z " in Path(f"/proc/{ended.pid}/stat").read_bytes())
         hiding = os.fork()
         if hiding == 0:
             signal.pause()
@@ -157,7 +158,7 @@ CHURN = "import os\nwhile True:\n for n in range(100): open(f'f{n}', 'w').close(
 def test_files_that_go_while_they_are_counted_do_not_hide_others(tmp_path: Path) -> None:
     (tmp_path / "large").write_bytes(bytes(MEGABYTE))
     with subprocess.Popen([sys.executable, "-S", "-c", CHURN], cwd=tmp_path) as writer:
-        eventually(lambda: len(list(tmp_path.iterdir())) > 1)
+        until(lambda: len(list(tmp_path.iterdir())) > 1)
         counts = [files.count_written(str(tmp_path), 10_000)[0] for _ in range(1000)]
         writer.kill()
     assert min(counts) >= MEGABYTE
