@@ -46,20 +46,18 @@ DISTANCE = '<LongitudinalDistanceAction continuous="false" entityRef="Ego" {}/>'
 KEEP = f"<PrivateAction><LongitudinalAction>{DISTANCE}</LongitudinalAction></PrivateAction>"
 
 
-def test_a_distance_in_init_places_a_leader_by_its_time_gap() -> None:
-    keep = KEEP.format('displacement="leadingReferencedEntity" timeGap="2" freespace="true"')
-    other = start("Other", lane(-3, 200), absolute(25)).replace("</Private>", f"{keep}</Private>")
-    result = of_file(scenario(CARS, EGO + other)).scenario
-    assert result.traffic[0].s - result.ego.s == pytest.approx(2 * 30 + 4.6, abs=1e-3)
-
-
-@pytest.mark.parametrize("is_last", [False, True])
-def test_a_follower_s_time_gap_is_that_at_its_start_speed_whichever_comes_first(is_last: bool) -> None:
-    keep = KEEP.format('displacement="trailingReferencedEntity" timeGap="2" freespace="true"')
+@pytest.mark.parametrize(
+    ("side", "is_last", "ahead"),
+    [("leading", True, 2 * 30 + 4.6), ("trailing", True, -(2 * 25 + 4.6)), ("trailing", False, -(2 * 25 + 4.6))],
+)
+def test_a_time_gap_in_init_is_the_follower_s_at_its_start_speed_whichever_comes_first(
+    side: str, is_last: bool, ahead: float
+) -> None:
+    keep = KEEP.format(f'displacement="{side}ReferencedEntity" timeGap="2" freespace="true"')
     end = "</Private>" if is_last else "<PrivateAction>"
     other = start("Other", lane(-3, 200), absolute(25)).replace(end, keep + end, 1)
     result = of_file(scenario(CARS, EGO + other)).scenario
-    assert result.ego.s - result.traffic[0].s == pytest.approx(2 * 25 + 4.6, abs=1e-3)
+    assert result.traffic[0].s - result.ego.s == pytest.approx(ahead, abs=1e-3)
 
 
 @pytest.mark.parametrize(

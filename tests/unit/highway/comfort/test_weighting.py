@@ -53,27 +53,21 @@ def test_digital_weighting_is_within_tolerance_but_near_half_the_rate(weighting:
     assert away[frequencies < 31.0].max() <= 1.0
 
 
-def test_wd_is_the_product_that_annex_a_defines() -> None:
-    """The transfer functions written out as in the standard: f1 = 0.4, f2 = 100, f3 = f4 = 2 Hz, Q4 = 0.63."""
-    w1, w2, w3, w4 = (2.0 * math.pi * f for f in (0.4, 100.0, 2.0, 2.0))
-    for frequency in (0.05, 0.4, 1.0, 2.0, 7.0, 40.0):
+@pytest.mark.parametrize(
+    ("weighting", "corners", "q4"),
+    [(WD, (0.4, 100.0, 2.0, 2.0, 1.0, 1.0), 0.63), (WF, (0.08, 0.63, math.inf, 0.25, 0.0625, 0.1), 0.86)],
+    ids=["Wd", "Wf"],
+)
+def test_a_weighting_is_the_product_that_annex_a_defines(weighting: Weighting, corners: tuple[float, ...], q4: float) -> None:
+    """The transfer functions written out as in the standard, with f1 to f6 in Hz and Q5 = Q6 = 0.80; Wd has no step from f5 to f6."""
+    w1, w2, w3, w4, w5, w6 = (2.0 * math.pi * f for f in corners)
+    for frequency in (0.01, 0.05, 0.0625, 0.1, 0.17, 0.4, 0.5, 1.0, 2.0, 7.0, 40.0):
         p = 2j * math.pi * frequency
         high = 1.0 / (1.0 + math.sqrt(2.0) * w1 / p + (w1 / p) ** 2)
         low = 1.0 / (1.0 + math.sqrt(2.0) * p / w2 + (p / w2) ** 2)
-        transition = (1.0 + p / w3) / (1.0 + p / (0.63 * w4) + (p / w4) ** 2)
-        assert analogue_gain(WD, frequency) == pytest.approx(abs(high * low * transition), rel=1e-12)
-
-
-def test_wf_is_the_product_that_annex_a_defines() -> None:
-    """f1 = 0.08, f2 = 0.63, f3 infinite, f4 = 0.25, Q4 = 0.86, f5 = 0.0625, Q5 = 0.80, f6 = 0.1 Hz, Q6 = 0.80."""
-    w1, w2, w4, w5, w6 = (2.0 * math.pi * f for f in (0.08, 0.63, 0.25, 0.0625, 0.1))
-    for frequency in (0.01, 0.05, 0.0625, 0.1, 0.17, 0.5, 2.0):
-        p = 2j * math.pi * frequency
-        high = 1.0 / (1.0 + math.sqrt(2.0) * w1 / p + (w1 / p) ** 2)
-        low = 1.0 / (1.0 + math.sqrt(2.0) * p / w2 + (p / w2) ** 2)
-        transition = 1.0 / (1.0 + p / (0.86 * w4) + (p / w4) ** 2)
+        transition = (1.0 + p / w3) / (1.0 + p / (q4 * w4) + (p / w4) ** 2)
         step = (1.0 + p / (0.8 * w5) + (p / w5) ** 2) / (1.0 + p / (0.8 * w6) + (p / w6) ** 2) * (w5 / w6) ** 2
-        assert analogue_gain(WF, frequency) == pytest.approx(abs(high * low * transition * step), rel=1e-12)
+        assert analogue_gain(weighting, frequency) == pytest.approx(abs(high * low * transition * step), rel=1e-12)
 
 
 @pytest.mark.parametrize("weighting", [WD, WF])
