@@ -12,7 +12,7 @@ import pytest
 from tests.support.cell_search import CellSearchPlugin
 from tests.support.changes import install
 from tests.support.computed import ComputedBackend, computed
-from tests.support.runs import dispatcher, finish, get, run, submit
+from tests.support.runs import dispatcher, finish, get, request, run, submit
 
 from drivecal.api.responses import campaign_answer
 from drivecal.campaigns.resolve.bench import Bench
@@ -133,6 +133,51 @@ def test_a_campaign_that_shares_runs_with_another_uses_its_whole_budget(
     working = dispatcher(database, backend)
     ended = [finish(database, campaign, working) for campaign in both]
     assert all(each.cells.runs in {99, 100} for each in ended), "no further set fits"
+
+
+@pytest.mark.parametrize("kills", [False, True])
+def test_a_crash_leaves_the_second_run_of_its_cell_to_the_budget(
+    database: Database, monkeypatch: pytest.MonkeyPatch, kills: bool
+) -> None:
+    monkeypatch.setattr(Bench, "repeated_share", 0.3)
+    crashed = set[int]()
+
+    def crashing(scenario: str, cell: Cell) -> CellResult:
+        if cell.check and cell.id not in crashed and len(crashed) < 4:
+            crashed.add(cell.id)
+            return CellResult(cell.id, None, None, {}, None, 7.0, Breakdown.CRASH.value, "exit code 7", contained=True)
+        return replace(computed(scenario, cell), repeats=True if cell.check else None, starts=1 + cell.check)
+
+    backend = ComputedBackend(answer=crashing)
+    optimizer = {"kind": "random", "population": 2}
+    spec: dict[str, Any] = {"catalogue": ["S1", "S2"], "reduction": {"mode": "exact"}, "optimizer": optimizer}
+    campaign, working, steps = submit(database, budget={"simulations": 40}, **spec), dispatcher(database, backend), 0
+    while not get(database, campaign).state.ended:
+        working.step()
+        steps += 1
+        if kills and steps % 15 == 0:
+            backend.close()
+            working = dispatcher(database, backend)
+    cells = get(database, campaign).cells
+    assert len(crashed) == 4
+    assert cells.runs - cells.lost in {39, 40}, "no further set fits"
+
+
+def test_runs_under_way_count_whoever_answers_their_cells(database: Database) -> None:
+    """Another campaign stores the same runs while they are at workers, and a new dispatcher or the same one looks again."""
+    spec: dict[str, Any] = {"catalogue": ["S1", "S2"], "optimizer": {"kind": "random", "population": 6}, "budget": {"simulations": 12}}
+    backend = ComputedBackend(held=True)
+    campaign, working = submit(database, reduction={"mode": "exact"}, **spec), dispatcher(database, backend)
+    while len(backend.sent) < 8:  # places of the backend
+        working.step()
+    other = ComputedBackend()
+    working._pool._backend = other
+    finish(database, submit(database, reduction={"mode": "off"}, priority=5, **spec), working)
+    request(database, campaign, "pause")
+    working.step()
+    request(database, campaign, "resume")
+    cells = finish(database, campaign, working).cells
+    assert cells.runs - cells.lost <= 12
 
 
 def test_a_search_of_an_exhausted_space_ends_before_its_budget(database: Database) -> None:

@@ -146,14 +146,15 @@ class SetJudge:
     def by_seed(
         self, places: Mapping[int, tuple[int, int]], runs: Mapping[int, Mapping[int, Cells]]
     ) -> Iterator[tuple[int, dict[int, EvaluatedSet]]]:
-        """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another one: a mean of
-        those alone that did not fail would say too much."""
+        """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another one that chooses:
+        a mean of those alone that did not fail would say too much. Seeds that report choose nothing: there a failure is counted."""
         cells = [by_seed[seed] for by_seed in runs.values() for seed in sorted(by_seed)]
         judged = self.of_cells(((number, *places[number]) for number, by_seed in runs.items() for _ in by_seed), cells)
         for number, by_seed in runs.items():
             known = zip(sorted(by_seed), judged, strict=False)
             whole = {seed: each for seed, each in known if each is not None}
-            lost = any(cell.failed for seed in by_seed.keys() - whole.keys() for cell in by_seed[seed].values())
+            without = [cells for seed, cells in by_seed.items() if seed not in whole and seed <= self.choosing]
+            lost = any(cell.failed for cells in without for cell in cells.values())
             yield number, {} if lost else whole
 
     def over_seeds(self, by_seed: Mapping[int, EvaluatedSet], runs: Mapping[int, Cells]) -> tuple[EvaluatedSet | None, Cells]:
@@ -168,7 +169,7 @@ class SetJudge:
         reported = self._mean(by_seed, runs, fresh)[0] if len(fresh) > 1 and choosing is not fresh else None
         if reported is not None:
             solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
-        failures = sum(cell.failed for seed in by_seed for cell in runs[seed].values())
+        failures = sum(cell.failed for cells in runs.values() for cell in cells.values())
         return replace(solution, replicates=len(by_seed), failures=failures), cells
 
     def _mean(
@@ -428,9 +429,11 @@ class Ranking:
         if not self._solutions or self._best is not None:
             return self._best
         self._assess()
-        best = min(self._solutions.values(), key=self.order)
-        first = self.order(best)[:2]
-        self._best = best, sum(self.order(solution)[:2] == first for solution in self._solutions.values())
+        self.order(next(iter(self._solutions.values())))  # their levels
+        levels = self._levels or {}
+        first = min(levels[number] for number in self._solutions)
+        alike = [solution for number, solution in self._solutions.items() if levels[number] == first]
+        self._best = min(alike, key=self.order), len(alike)
         return self._best
 
     def surest(self) -> EvaluatedSet | None:

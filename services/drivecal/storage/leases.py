@@ -15,7 +15,7 @@ A lease has no row of its own before it was taken once, and none any more when t
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 
-from sqlalchemy import Connection, bindparam, case, delete, func, literal, select, update
+from sqlalchemy import ColumnElement, Connection, bindparam, case, delete, func, literal, select, update
 
 from drivecal.domain.campaigns import StageName
 from drivecal.storage.engine.bulk import among, insert, rows_among
@@ -92,7 +92,7 @@ def current(connection: Connection, numbers: Mapping[int, int]) -> set[int]:
 def end(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, tuple[int, int]]:
     """Ends the leases of answered evaluations; returns the starts of each by id, and how many of these were lost. The caller stores the
     answers in the same transaction."""
-    columns = leases.c.evaluation_id, _STARTS, leases.c.lost
+    columns = leases.c.evaluation_id, _STARTS, _lost(term_in_office(connection))
     return {
         evaluation: (started, lost)
         for condition in among(connection, leases.c.evaluation_id, list(evaluation_ids))
@@ -103,10 +103,15 @@ def end(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, tupl
 _STARTS = leases.c.starts + leases.c.running + leases.c.lost
 
 
-def starts(connection: Connection, evaluation_ids: Sequence[int]) -> int:
-    """Returns the starts of evaluations without an answer: the broken ones, and the next start of each evaluation."""
-    rows = rows_among(connection, select(leases.c.starts), leases.c.evaluation_id, list(evaluation_ids))
-    return sum(int(count) for (count,) in rows) + len(evaluation_ids)
+def _lost(term: int) -> ColumnElement[int]:
+    """Returns the starts that were lost, those included that run for a dispatcher of another term: nothing waits for them."""
+    return leases.c.lost + case((leases.c.term != term, leases.c.running), else_=0)
+
+
+def starts(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
+    """Returns the starts that broke down of evaluations without an answer, by id."""
+    query = select(leases.c.evaluation_id, leases.c.starts)
+    return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 
 
 def breakdowns(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
@@ -119,7 +124,7 @@ def forget(connection: Connection, campaign_sequence: int) -> dict[StageName, tu
     """Removes the leases of an ended campaign, whose other cells get no answer, and notes the starts of each; returns their starts by
     stage, and how many were lost."""
     pending = (evaluations.c.campaign_sequence == campaign_sequence) & evaluations.c.outcome.is_(None)
-    sums = func.sum(_STARTS), func.sum(leases.c.lost)
+    sums = func.sum(_STARTS), func.sum(_lost(term_in_office(connection)))
     total = select(evaluations.c.stage, *sums).join(leases).where(pending).group_by(evaluations.c.stage)
     starts_by_stage = {StageName(stage): (int(count), int(lost)) for stage, count, lost in connection.execute(total)}
     own = select(func.coalesce(func.sum(_STARTS), 0)).where(leases.c.evaluation_id == evaluations.c.id)

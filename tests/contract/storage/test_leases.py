@@ -53,22 +53,24 @@ def test_a_lease_counts_starts_before_they_happen(connection: Connection) -> Non
     leases.take(connection, dict.fromkeys(ids, 0), twice={ids[0]})
     for _ in range(2):  # the second has no effect
         leases.give_back(connection, {ids[0]: 1, ids[1]: 0}, {ids[0]: 1, ids[1]: 1})
-    assert leases.starts(connection, ids) == 1 + 3
+    assert leases.starts(connection, ids) == {ids[0]: 1, ids[1]: 0, ids[2]: 0}
     take(connection, ids[:2])
-    assert leases.starts(connection, ids) == 1 + 3
+    assert leases.starts(connection, ids) == {ids[0]: 1, ids[1]: 0, ids[2]: 0}
     assert leases.end(connection, ids[:1]) == {ids[0]: (2, 0)}
     sequence = connection.scalar(text("SELECT campaign_sequence FROM evaluations WHERE id = :id"), {"id": ids[0]})
     assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: (2, 0)}
 
 
 def test_starts_that_end_with_their_dispatcher_or_worker_are_lost(connection: Connection) -> None:
-    ids = pending(connection, 2)
+    ids = pending(connection, 4)
     take(connection, ids)
     elect(connection)
-    take(connection, ids)
+    take(connection, ids[:2])
     leases.give_back(connection, {ids[1]: 0})
-    assert leases.starts(connection, ids) == 2
-    assert leases.end(connection, ids) == {ids[0]: (2, 1), ids[1]: (2, 2)}
+    assert leases.starts(connection, ids) == dict.fromkeys(ids, 0)
+    assert leases.end(connection, ids[:3]) == {ids[0]: (2, 1), ids[1]: (2, 2), ids[2]: (1, 1)}
+    sequence = connection.scalar(text("SELECT campaign_sequence FROM evaluations WHERE id = :id"), {"id": ids[0]})
+    assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: (1, 1)}
 
 
 def test_what_has_its_answer_is_not_leased(connection: Connection) -> None:

@@ -350,6 +350,17 @@ def test_a_set_that_lost_its_value_to_a_failed_run_tells_nothing_of_others() -> 
     assert ranking.close() == 0
 
 
+def test_a_report_with_a_failed_run_keeps_its_set_and_counts_the_failure() -> None:
+    goals = Goals((Objective("gap", GAP, {"S1": 1.0}, Aggregate(), 1),))
+    first = choosing(USUAL.most) + 1
+    cells = [one_run(1, seed, 1.0, values={GAP.key: float(seed % 3)}) for seed in (*range(1, 4), *range(first, first + 5))]
+    ranking = Ranking({"S1": 1}, goals, USUAL)
+    ranking.add([*cells[:-1], replace(cells[-1], score=None, rating=None, failed=True, values={})])
+    (best,) = ranking.best_first()
+    assert (best.failures, best.replicates, ranking.failed_runs(1)) == (1, 7, (1, 5))
+    assert best.objective == np.mean([seed % 3 for seed in range(first, first + 4)])
+
+
 def test_reports_with_equal_scores_have_an_interval() -> None:
     scores = 6.0 + np.random.default_rng(1).integers(-1, 2, (2, 20)) / 6
     scores[:, 12:] = 6.0

@@ -165,7 +165,8 @@ class CellTracker:
             if cell.plan in ANSWERED_BY_DONOR and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
         if self._counts_starts:  # before cells are answered, which gives their starts back
-            self.budget.left -= leases.starts(connection, list(self._pending))
+            self.budget.taken.update(leases.starts(connection, list(self._pending)))
+            self.budget.left -= len(self._pending) + self.budget.taken.total()
             self._counts_starts = False
         while rejected := self._settle(connection, self._share_runs(connection, self._pending.values())):
             self._simulate(connection, rejected)
@@ -214,7 +215,7 @@ class CellTracker:
         self._store(connection, answers)
         released, rejected = self._inspection.conclude(connection, self._pending.keys())
         for cell, answer in released:
-            self._close(cell, answer.outcome, is_own=False)
+            self._close(cell, answer.outcome)
         reused = [answer for _, answer in released if answer.outcome is not Outcome.PREDICTED]
         self._store(connection, reused)
         return rejected
@@ -228,9 +229,13 @@ class CellTracker:
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
         """Stores answers, and counts the starts of the simulator for their cells."""
-        started, lost = evaluations.answer(connection, answers)
-        self._counts["runs"] += started
-        self._counts["lost"] += lost
+        starts = evaluations.answer(connection, answers)
+        for answer in answers:
+            started, lost = starts[answer.id]
+            self._counts["runs"] += started
+            self._counts["lost"] += lost
+            is_shared = self._view.isolated and answer.outcome is Outcome.SIMULATED  # counts, whoever has started it
+            self.budget.left -= max(started - lost, is_shared)
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""
@@ -258,7 +263,8 @@ class CellTracker:
     def _cell(self, pending: StoredEvaluation) -> Cell:
         share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
         twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.seed)
-        twice = twice and (pending.id in self._twice or self.budget.take(beyond=self.budget.kept))
+        twice = twice and pending.id not in self._breakdowns  # a suspect runs once
+        twice = twice and (pending.id in self._twice or self.budget.take(pending.id, beyond=self.budget.kept))
         if twice:
             self._twice.add(pending.id)
         return Cell(pending.id, pending.parameters.floats, check=twice, trace=self._view.traced)
@@ -321,13 +327,11 @@ class CellTracker:
             agrees = self._inspection.compare(cell, answer.score)
             detail = answer.detail or (None if attempt is None else _storable(attempt.result.detail))
             answers.append(replace(answer, id=cell.id, outcome=outcome, agrees=agrees, detail=detail, **_attempt(attempt)))
-            self._close(cell, outcome, is_own=attempt is not None)
-        self.budget.left += 0 if own is None else own.unstarted
+            self._close(cell, outcome)
         return answers
 
-    def _close(self, cell: StoredEvaluation, outcome: Outcome, *, is_own: bool) -> None:
-        if not (is_own or (self._view.isolated and outcome is Outcome.SIMULATED)):
-            self.budget.left += 1 + (cell.id in self._twice and cell.id not in self._breakdowns)
+    def _close(self, cell: StoredEvaluation, outcome: Outcome) -> None:
+        self.budget.give_back(cell.id)
         del self._pending[cell.id]
         self._counts["pending"] -= 1
         self._count(outcome)

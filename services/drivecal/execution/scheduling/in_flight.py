@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -30,12 +31,19 @@ class RunBudget:
     left: float = math.inf
     kept: float = 0.0
     """The part of `left` that its search needs for further cells."""
+    taken: Counter[int] = field(default_factory=Counter)
+    """Further runs of each cell without an answer, by id."""
 
-    def take(self, *, beyond: float = 0.0) -> bool:
-        """Takes a run if more than `beyond` are left; returns whether there was one."""
+    def take(self, cell: int, *, beyond: float = 0.0) -> bool:
+        """Takes a further run for a cell if more than `beyond` are left; returns whether there was one."""
         affordable = self.left >= beyond + 1
         self.left -= affordable
+        self.taken[cell] += affordable
         return affordable
+
+    def give_back(self, cell: int) -> None:
+        """Gives all runs of a cell back: it has an answer, and its starts are counted."""
+        self.left += 1 + self.taken.pop(cell, 0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
-from tests.support.simulators import eventually, is_running
+from tests.support.serve import until
+from tests.support.simulators import is_running
 
 from drivecal.adapters.driver import UnusableError
 from drivecal.highway.drive import controllers
@@ -180,10 +181,10 @@ def test_a_program_ends_with_its_helpers_and_is_not_waited_for(tmp_path: Path) -
     """Although a helper holds its output."""
     command = ["sh", "-c", "sleep 600 & echo $! > helper; exit 3"]
     program = ProgramController({"command": command, "output": ["acceleration"]}, tmp_path, {}, 0.1)
-    with pytest.raises(ProgramError, match="exit code 3"):
+    with pytest.raises(ControllerError, match="exit code 3"):
         program.begin({})
     helper = int((tmp_path / "helper").read_text())
-    eventually(lambda: not is_running(helper))
+    until(lambda: not is_running(helper))
 
 
 def test_a_line_too_many_that_comes_late_is_no_later_command(tmp_path: Path) -> None:
