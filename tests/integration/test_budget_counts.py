@@ -165,7 +165,11 @@ def test_a_crash_leaves_the_second_run_of_its_cell_to_the_budget(
 
 def test_runs_under_way_count_whoever_answers_their_cells(database: Database) -> None:
     """Another campaign stores the same runs while they are at workers, and a new dispatcher or the same one looks again."""
-    spec: dict[str, Any] = {"catalogue": ["S1", "S2"], "optimizer": {"kind": "random", "population": 6}, "budget": {"simulations": 12}}
+    spec: dict[str, Any] = {
+        "catalogue": ["S1", "S2"],
+        "optimizer": {"kind": "random", "population": 6},
+        "budget": {"simulations": 12},
+    }
     backend = ComputedBackend(held=True)
     campaign, working = submit(database, reduction={"mode": "exact"}, **spec), dispatcher(database, backend)
     while len(backend.sent) < 8:  # places of the backend

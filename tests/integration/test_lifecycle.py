@@ -21,7 +21,7 @@ from drivecal.dispatch.dispatcher import Dispatcher
 from drivecal.domain.campaigns import CampaignState, StageName
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Outcome
-from drivecal.storage import campaigns, results
+from drivecal.storage import campaigns, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import influence_maps
@@ -157,3 +157,34 @@ def test_a_pause_takes_no_minutes(database: Database, monkeypatch: pytest.Monkey
     monkeypatch.setattr(searches, "time", SimpleNamespace(monotonic=lambda: later))
     search = present(finish(database, campaign, working).search)
     assert search.ended_by == end
+
+
+def test_minutes_end_within_a_large_generation_and_begin_with_the_first_run(
+    database: Database, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(searches, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    backend = ComputedBackend(held=True)
+    campaign = _submit(database, budget={"minutes": 60}, optimizer={"kind": "genetic", "population": 60, "iterations": 2})
+    working = dispatcher(database, backend)
+    for _ in range(5):
+        working.step()
+    backend.held, clock.now = False, 36_000.0  # the workers have started
+    while not get(database, campaign).cells.simulated:
+        working.step()
+    clock.now += 36_000.0
+    ended = finish(database, campaign, working)
+    assert (present(ended.search).ended_by, ended.best is not None) == ("budget", True)
+    assert 0 < ended.cells.requested < 2 * 60
+
+
+def test_populations_end_with_the_one_after_which_the_search_has_stood_still(database: Database) -> None:
+    ended = finish(
+        database,
+        _submit(database, budget={"stagnation": 30}, optimizer={"kind": "random", "population": 10}),
+        dispatcher(database),
+    )
+    search = present(ended.search)
+    assert search.ended_by == "stagnation"
+    with database.read() as connection:
+        assert search.stood_still_at == generations.finished(connection, ended.sequence)

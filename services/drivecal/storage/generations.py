@@ -40,7 +40,7 @@ def insert(
     """Stores a new generation, in the transaction that stores its evaluations, and removes the states of earlier ones."""
     connection.execute(
         update(generations)
-        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.optimizer_state.is_not(None))
+        .where(generations.c.campaign_sequence == campaign_sequence, generations.c.iteration == figures.iteration - 1)
         .values(optimizer_state=None)
     )
     connection.execute(

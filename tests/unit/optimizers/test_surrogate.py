@@ -495,3 +495,30 @@ def test_searches_beside_each_other_compute_with_one_thread_each() -> None:
 def test_the_settings_are_checked() -> None:
     with pytest.raises(TypeError):
         SURROGATE.begin(Scale, task_of(mean_of(COST, 3)))  # type: ignore[arg-type]  # the wrong settings are the point
+
+
+def test_a_random_search_tries_each_value_of_a_choice_again_and_again() -> None:
+    """A few unlucky runs would say for good that one is worse."""
+    task = task_of(mean_of(COST, 2), 160, 1, np.array([11, 11, 4], dtype=np.int64), ("grid", "grid", "choice"))
+    luck = np.random.default_rng(1)
+
+    def unlucky(cell: AskedCell) -> tuple[float, bool]:
+        return 1.0 + 0.1 * cell.indices[0] + 3.0 * (cell.indices[2] != 2) + 0.3 * float(luck.normal()), False
+
+    for room in (1, 40):
+        played = Played(replace(task, random=True, replicates=5), unlucky, room)
+        played.play(begun(played.task))
+        sets = {cell.indices for cells in played.rounds for cell in cells}
+        tried = [sum(indices[2] == value for indices in sets) for value in range(4)]
+        assert min(tried) >= 3, tried
+        assert tried[2] > sum(tried) / 2, "most have the best one"
+
+
+def test_sets_that_are_only_known_from_before_are_not_left_out() -> None:
+    task = task_of(mean_of(COST, 3), 30)
+    before = task.sample(200, np.random.default_rng(1)).tolist()
+    known = tuple(CellAnswer(AskedCell(tuple(row), 0), (COST.failed,)) for row in before)
+    played = Played(replace(task, known=known), cost, 1)
+    search = begun(played.task)
+    played.play(search)
+    assert search.discarded <= 3 * len({cell.indices for cells in played.rounds for cell in cells})

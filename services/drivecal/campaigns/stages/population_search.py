@@ -30,12 +30,14 @@ from drivecal.storage.generations import StoredGeneration
 
 ENDLESS = 20
 """Generations ahead of a search that no budget of simulations and no number of iterations ends."""
+CELLS_OF_WORKER = 4
+"""Cells of a batch for each worker, if minutes may end the search."""
 CONFIRMED = 3
 """Sets whose confirmation a budget is to suffice for."""
 
 
 class PopulationSearch(ComputedSearch):
-    """A search by a generational optimizer. A generation is requested in batches: one, unless predictions learn in between."""
+    """A search by a generational optimizer. A generation is one batch, unless predictions learn, or minutes may end, within it."""
 
     window = 1
     has_populations = True
@@ -124,7 +126,11 @@ class PopulationSearch(ComputedSearch):
         changed = [int(index) for index in np.flatnonzero(asked.changed)]
         if number:
             self._changed = float(len(changed))
-        size = slice_size(self._optimization.population) if self._planner is not None and number == 0 else len(asked.changed)
+        size, budget = len(asked.changed), self._optimization.budget
+        if budget is not None and budget.minutes is not None:  # which may be over within a generation
+            size = -(-CELLS_OF_WORKER * self._view.workers // len(self._problem.scenarios))
+        if self._planner is not None and number == 0:
+            size = min(size, slice_size(self._optimization.population))
         return [list(members) for _, members in groupby(changed, lambda index: index // size)] or [[]]
 
     def _next_batch(self) -> Round:
@@ -174,7 +180,7 @@ class PopulationSearch(ComputedSearch):
         del connection
         if asked.number >= self._next:
             return planned
-        room, reduction = self._cells_left, self._problem.specification.reduction
+        room, reduction = 0 if self._is_late else self._cells_left, self._problem.specification.reduction
         seeds = [bench.seed for bench, _ in asked.cells]
         outcomes = {cell.plan for cell in planned} | {name for name, count in self._tracker.counts.items() if count}
         if outcomes & {Outcome.PREDICTED, Outcome.REUSED}:  # may confirm the best set

@@ -30,7 +30,7 @@ from drivecal.domain.campaigns import StageName
 from drivecal.domain.errors import NoResultError
 from drivecal.domain.evaluations import Purpose, RequestedCell
 from drivecal.domain.events import EventKind
-from drivecal.execution.scheduling.in_flight import Work
+from drivecal.execution.scheduling.in_flight import Completed, Work
 from drivecal.storage import evaluations, events, generations, results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
@@ -60,8 +60,9 @@ class SearchStage(Stage):
         self._repeatable_no_more = campaign.cells.unrepeatable > 0
         begun, room = campaign.search, room_for(view.workers)
         self._search = SearchState(room=room) if begun is None else begun
-        self._since = time.monotonic() - 60 * (self._search.spent_minutes or 0.0)
-        """Begin of the search if it never paused, on a clock that cannot be set (s)."""
+        spent = self._search.spent_minutes or 0.0
+        self._since = time.monotonic() - 60 * spent if spent else None
+        """Begin of the search if it never paused, on a clock that cannot be set (s); None before its first run: workers may still start."""
         self._asked: dict[int, AskedRound] = {}
         """Rounds whose answers the search does not know, by number."""
         self._confirming: Confirming | None = None
@@ -94,17 +95,30 @@ class SearchStage(Stage):
     @property
     def _is_spent(self) -> bool:
         """True if the budget is used up."""
+        return self._is_late or (self._limit is not None and self._cells_left < 1)
+
+    @property
+    def _is_late(self) -> bool:
+        """True if the minutes of the budget are over."""
         budget = self._optimization.budget
-        if budget is None:
-            return False
-        is_late = budget.minutes is not None and self._minutes >= budget.minutes
-        return is_late or (budget.simulations is not None and self._cells_left < 1)
+        return budget is not None and budget.minutes is not None and self._minutes >= budget.minutes
+
+    def record(self, completed: Sequence[Completed]) -> list[Work]:
+        """See `Stage.record`."""
+        self._begin(max((each.result.wall_milliseconds or each.result.milliseconds for each in completed), default=0.0))
+        return super().record(completed)
+
+    def _begin(self, milliseconds: float = 0.0) -> None:
+        """Notes that the first run began this long ago, or that none is needed."""
+        self._since = time.monotonic() - milliseconds / 1000 if self._since is None else self._since
 
     @property
     def _minutes(self) -> float:
         """Minutes of the search so far, or up to its end, without the time since its last stored result when it paused."""
         spent = None if self._search.ended_by is None else self._search.spent_minutes
-        return (time.monotonic() - self._since) / 60 if spent is None else spent
+        if spent is not None or self._since is None:
+            return spent or 0.0
+        return (time.monotonic() - self._since) / 60
 
     def _end_search(self, reason: SearchEnd) -> None:
         """Notes the end, which is stored with the next rows."""
@@ -217,6 +231,7 @@ class SearchStage(Stage):
     def _close(self, number: int) -> None:
         """Closes a round: every cell has its answer."""
         asked, sequence = self._asked[number], self._campaign.sequence
+        self._begin()
         with self._database.transaction() as connection:
             sets = self._ranking.sets
             self._answers.take_in(connection, sequence, [number])
@@ -255,7 +270,9 @@ class SearchStage(Stage):
         counts = CellCounts(**self._tracker.counts)
         notes = [*self._problem.notes, *notes_on_lots(self._error_rate)]
         if counts.unrepeatable:
-            advice = note_predictions(self._problem.specification, self._problem.bench.scale)  # holds for equal runs
+            advice = note_predictions(
+                self._problem.specification, self._problem.bench.scale, has_populations=self.has_populations
+            )
             notes = [note for note in notes if note not in advice]
             notes.append(f"runs that differ from another one of the same cell: {counts.unrepeatable}; scores are samples")
             if not self._repeatable_no_more:
@@ -336,7 +353,7 @@ class ComputedSearch(SearchStage):
         if number and self._is_spent:
             return "budget"
         stood_still = self._search.stood_still_at
-        return "stagnation" if stood_still is not None and stood_still <= number - self.window else None
+        return "stagnation" if stood_still is not None and stood_still <= number - self.window + 1 else None
 
     @property
     def _cells_left(self) -> float:

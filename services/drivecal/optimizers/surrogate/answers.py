@@ -195,5 +195,5 @@ class Answers:
     @property
     def discarded(self) -> int:
         """Cells of given-up sets that were not asked."""
-        given_up = [begun.number for begun in self.sets if begun.given_up]
+        given_up = [begun.number for begun in self.sets if begun.given_up and begun.number not in self._from_before]
         return int((~np.any(self._asked[given_up], axis=2)).sum())
