@@ -146,8 +146,8 @@ class SetJudge:
     def by_seed(
         self, places: Mapping[int, tuple[int, int]], runs: Mapping[int, Mapping[int, Cells]]
     ) -> Iterator[tuple[int, dict[int, EvaluatedSet]]]:
-        """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another one that chooses:
-        a mean of those alone that did not fail would say too much. Seeds that report choose nothing: there a failure is counted."""
+        """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another seed of the choice:
+        a mean over the other seeds would say too much. Seeds that report choose nothing: there a failure is counted."""
         cells = [by_seed[seed] for by_seed in runs.values() for seed in sorted(by_seed)]
         judged = self.of_cells(((number, *places[number]) for number, by_seed in runs.items() for _ in by_seed), cells)
         for number, by_seed in runs.items():

@@ -1,7 +1,5 @@
 """Simulators of kind `fmu`: whole systems of FMI 2 and 3, built here."""
 
-import zipfile
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -166,38 +164,6 @@ def test_an_fmu_that_a_machine_cannot_read_is_not_blamed(
     with pytest.raises(kind) as error:
         Fmu(folder / "trial2.fmu", tmp_path / "unpacked")
     assert blames_files(error.value) is (kind is UnusableError)
-
-
-def described_anew(folder: Path, target: Path, old: str, new: str) -> None:
-    """Writes `unit.fmu`: the second trial with another text in its description."""
-    description = SECOND_DESCRIPTION.replace(old, new)
-    assert description != SECOND_DESCRIPTION
-    with zipfile.ZipFile(folder / "trial2.fmu") as whole:
-        library = Path(whole.extract("binaries/linux64/trial.so", target))
-    archive(target / "unit.fmu", description, {"binaries/linux64/trial.so": library})
-
-
-@pytest.mark.slow
-def test_a_declared_unit_is_that_of_the_output(folder: Path, tmp_path: Path) -> None:
-    described_anew(folder, tmp_path, 'variability="continuous"><Real/>', 'variability="continuous"><Real unit="m/s"/>')
-    own = {"end": "m.s-1", "area": "m", "usual": "1"}
-    with run(tmp_path, "unit.fmu", replace(DECLARED, units=own)) as session:
-        assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
-    for name, unit, stated in (("end", "km/h", "m/s"), ("area", "m/s", "m/s.s"), ("body.x[1]", "m", "m/s")):
-        declared = replace(DECLARED, units=own | {name: unit})
-        with pytest.raises(UnavailableError, match=f"is in {stated} .*not in {unit}"), run(tmp_path, "unit.fmu", declared):
-            pass
-
-
-@pytest.mark.slow
-def test_a_parameter_has_the_unit_of_its_variable(folder: Path, tmp_path: Path) -> None:
-    described_anew(folder, tmp_path, '"tunable"><Real start="1"/>', '"tunable"><Real start="1" unit="km/h"/>')
-    for unit in ("km/h", "1"):
-        with run(tmp_path, "unit.fmu", replace(DECLARED, parameters={"rate": unit})) as session:
-            assert session.evaluate({"rate": 1.0}).measures["end"] == pytest.approx(2)
-    declared = replace(DECLARED, parameters={"rate": "m/s"})
-    with pytest.raises(UnavailableError, match=r"rate.*km/h.*m/s"), run(tmp_path, "unit.fmu", declared):
-        pass
 
 
 def test_wrong_names_in_the_data_cannot_be_opened(folder: Path) -> None:

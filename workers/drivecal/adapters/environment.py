@@ -59,31 +59,24 @@ class Scratch:
         self.is_spoilt = False
         """A process may live that nothing ends, and put links where the worker writes."""
         try:
-            self.home.mkdir()
-            self.renew()
+            self.clear()
         except OSError:
             self.remove()
             raise
 
-    def renew(self) -> None:
-        """Empties the working directory. The manifest is not there: results do not depend on it. Raises OSError if the folder is spoilt."""
+    def clear(self) -> None:
+        """Empties all folders: what a child has left, or changed in files that its driver unpacked, would meet the next one. The manifest
+        is not in the working directory: results do not depend on it. Raises OSError if the folder is spoilt."""
         if self.is_spoilt:
             raise PermissionError(errno.EPERM, "a process that cannot be ended may change the folder", str(self.folder))
         self.folder.chmod(0o700)  # a child may have taken rights away
-        discard(self.work)
+        for path in self.folder.iterdir():
+            discard(path)
+        self.home.mkdir()
         self.work.mkdir()
         for path in self.bundle.iterdir():
             if path.name != MANIFEST:
                 (self.work / path.name).symlink_to(path)
-
-    def clear(self) -> None:
-        """Empties all folders: what a child has left, or changed in files that its driver unpacked, would meet the next one. Raises OSError
-        if the folder is spoilt."""
-        self.renew()
-        for path in self.folder.iterdir():
-            if path != self.work:
-                discard(path)
-        self.home.mkdir()
 
     def confinement(self, writable: Collection[str] = ()) -> dict[str, Any] | None:
         """Returns what the keeper's `ruleset` takes; None if the machine's owner wants no confinement. `writable`: further folders."""

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.adapters.driver import Evaluate, UnusableError, described, serve
-from drivecal.bundles.fmus.checks import output_problems, reduction_of, unit_problems, wanted_by
+from drivecal.bundles.fmus.checks import reduction_of, wanted_by
 from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, Variables, parse_description
-from drivecal.domain.errors import InvalidInputError, Problem, UnavailableError
+from drivecal.domain.errors import InvalidInputError, UnavailableError
 
 FATAL = 4
 """FMI's status after which no function of the FMU may be called."""
@@ -49,7 +49,7 @@ class Fmu:
             fmpy.extract(str(file), unzipdir=str(unpacked))
         self.variables = {variable.name: variable for variable in self.model.modelVariables}
         self.described: Variables = {}
-        with suppress(InvalidInputError):  # FMPy reads on; units and ranges are then not checked
+        with suppress(InvalidInputError):  # FMPy reads on; ranges are then not checked
             self.described = parse_description((unpacked / "modelDescription.xml").read_bytes()) or {}
         self._slave = self._instantiated(unpacked)
         self._is_fresh = True
@@ -150,12 +150,6 @@ class Fmu:
         return slave
 
 
-def refuse_first(problems: Iterable[Problem]) -> None:
-    """Raises UnusableError for the first problem, if there is one."""
-    for problem in problems:
-        raise UnusableError(f"{problem.field}: {problem.message}; {problem.remedy}")
-
-
 class Reader:
     """Reads a fixed list of variables; `names` has their order."""
 
@@ -225,14 +219,8 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     fmu = Fmu(Path(settings["file"]), Path(settings["unpacked"]))
     fmu.check((output for _, output in measures.values()), "measured output")
     fmu.check(settings["data"], "name in the scenario's data")
-    refuse_first(unit_problems(fmu.described, settings["parameters"]))
     fmu.check([] if seed is None else [seed], "seed")
     recorded = [name for name in settings["series"] if name in fmu.variables]
-    outputs = {f"measures.{name}": (name, output, key == "integral") for name, (key, output) in measures.items()}
-    outputs |= {f"series.{name}": (name, name, False) for name in recorded}
-    declared = settings["units"]
-    used = ((place, output, declared.get(name, "1"), whole) for place, (name, output, whole) in outputs.items())
-    refuse_first(output_problems(fmu.described, used))
     reader = fmu.reader(dict.fromkeys([*(output for _, output in measures.values()), *recorded]))
     steps = max(1, math.ceil(duration / step - 1e-9))
     rest = duration - (steps - 1) * step

@@ -17,7 +17,6 @@ from drivecal.adapters.children import check_command
 from drivecal.adapters.command import CommandSession
 from drivecal.adapters.environment import DRIVER, Scratch
 from drivecal.adapters.process import ProcessSession
-from drivecal.bundles import units
 from drivecal.contracts.work import runs_in_worker
 from drivecal.domain.errors import UnavailableError
 from drivecal.plugins import registry, simulators
@@ -114,9 +113,7 @@ def _start_fmu(section: Section, scenario: str, data: Data, scratch: Scratch, de
         "unpacked": str(scratch.folder / "fmu"),
         "section": {key: section.get(key) for key in ("duration", "step", "measures", "seed")},
         "series": list(declared.series),
-        "units": {name: unit for name, unit in declared.units.items() if unit not in units.WITHOUT},
         "data": dict(data),
-        "parameters": dict(declared.parameters),
     }
     driver = [*DRIVER, "drivecal.adapters.fmu_driver"]
     most = MOST_FMU_RUNS if section.get("reset", True) else 1
@@ -145,7 +142,6 @@ def _start_highway(section: Section, scenario: str, data: Data, scratch: Scratch
         "changeable": None if confinement is None else confinement["writable"],
         "measures": list(declared.measures),
         "series": list(declared.series),
-        "parameters": dict(declared.parameters),
     }
     if controller["kind"] == "process":
         check_command(controller["command"], scratch.work)

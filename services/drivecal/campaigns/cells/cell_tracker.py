@@ -234,7 +234,9 @@ class CellTracker:
             started, lost = starts[answer.id]
             self._counts["runs"] += started
             self._counts["lost"] += lost
-            is_shared = self._view.isolated and answer.outcome is Outcome.SIMULATED  # counts, whoever has started it
+            is_shared = (
+                self._view.isolated and answer.outcome is Outcome.SIMULATED
+            )  # counts, although another campaign started it
             self.budget.left -= max(started - lost, is_shared)
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:

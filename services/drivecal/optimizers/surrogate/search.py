@@ -95,7 +95,7 @@ PENDING = 64
 DORMANT = 64
 """Most sets with known answers from before that are looked at in detail."""
 VALUE_EVERY, VALUE_PROMISE = 5, 0.01
-"""Of how many sets one may be begun for its value of a choice, and the promise of such a set unless its chance is larger."""
+"""At most each fifth set is begun for its value of a choice; it has this promise, unless its chance is larger."""
 DESIGN, PROPOSAL, DRAWING, DIRECTION, NOISE = range(5)
 """Streams of random numbers."""
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from drivecal.bundles import units
 from drivecal.bundles.fmus.description import INTEGERS, NUMBERS, FmuVariable, Variables
+from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import Problem
 
@@ -109,7 +110,7 @@ def _parameters(variables: Variables, parameters: Mapping[str, str]) -> Iterator
 
 
 def _signals(field: str, section: Mapping[str, Any], variables: Variables) -> Iterator[Problem]:
-    """Yields the signals whose variables have the wrong direction."""
+    """Yields the signals whose variables have the wrong direction or unit."""
     read = section["output"]
     for name, variable in section["signals"].items():
         if variable not in variables:
@@ -121,6 +122,8 @@ def _signals(field: str, section: Mapping[str, Any], variables: Variables) -> It
         elif name not in read and causality in COMPUTED:
             message = f"{shown(variable)} is an {causality} of the FMU, which takes no {name} there"
             yield Problem(f"{field}.signals.{name}", message, "name an input of the FMU")
+        unit = (COMMANDS if name in read else SIGNALS).get(name, "1")
+        yield from output_problems(variables, [(f"{field}.signals.{name}", variable, unit, False)])
 
 
 def _fixed(field: str, section: Mapping[str, Any], variables: Variables, parameters: Mapping[str, str]) -> Iterator[Problem]:

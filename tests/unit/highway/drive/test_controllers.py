@@ -14,7 +14,6 @@ from tests.support.motorways import CONTROLLERS, FMU, PARAMETERS, compile_fmu
 from tests.support.serve import until
 from tests.support.simulators import is_running
 
-from drivecal.adapters.driver import UnusableError
 from drivecal.highway.drive import controllers
 from drivecal.highway.drive.controllers import (
     Checked,
@@ -104,7 +103,7 @@ def test_managers_of_a_controller_do_without_unix_sockets(tmp_path: Path, monkey
         "import multiprocessing.connection as c\ndef control(*_): return c.default_family == 'AF_INET'"
     )
     section = {"kind": "python", "file": "shares.py", "function": "control", "output": ["acceleration"]}
-    control = controllers.controller(section, tmp_path, tmp_path, tmp_path, {}, 0.1, {})
+    control = controllers.controller(section, tmp_path, tmp_path, tmp_path, {}, 0.1)
     control.begin({})
     assert list(control.step(SIGNALS)) == [True]
 
@@ -151,8 +150,6 @@ def test_constants_give_inputs_and_parameters_of_an_fmu_in_every_run(tmp_path: P
     for _ in range(2):
         control.begin({name: value for name, value in PARAMETERS.items() if name != "c"})
         assert control.step(signals) == expected
-    with pytest.raises(UnusableError, match="u3"):
-        LoadedFmuController(tmp_path / "acc.fmu", tmp_path / "fmu", section | {"signals": rest}, 0.1)
 
 
 PROGRAM = """

@@ -15,10 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from drivecal.adapters.driver import described
-from drivecal.adapters.fmu_driver import Fmu, end_if_fatal, refuse_first
+from drivecal.adapters.fmu_driver import Fmu, end_if_fatal
 from drivecal.adapters.python_driver import function_of
-from drivecal.bundles.fmus.checks import output_problems, section_problems
-from drivecal.bundles.highway_catalogue import COMMANDS, SIGNALS
 from drivecal.domain.errors import DrivecalError
 from drivecal.highway.drive.geometry import NAMES
 
@@ -197,19 +195,11 @@ class LoadedFmuController(Controller):
     It is initialised in the first step, when its inputs are known.
     """
 
-    def __init__(
-        self, file: Path, unpacked: Path, section: Mapping[str, Any], period: float, units: Mapping[str, str] | None = None
-    ) -> None:
-        """`section` is the manifest's; `units` are the parameters' by name. Raises UnusableError."""
+    def __init__(self, file: Path, unpacked: Path, section: Mapping[str, Any], period: float) -> None:
+        """`section` is the manifest's. Raises UnusableError."""
         signals, output = section["signals"], section["output"]
         self._fmu = Fmu(file, unpacked)
         self._fmu.check(signals.values(), "name in `signals`")
-        own = {name: (COMMANDS if name in output else SIGNALS)[name] for name in signals}
-        field = "simulator.controller.signals"
-        used = ((f"{field}.{name}", signals[name], unit, False) for name, unit in own.items())
-        refuse_first(output_problems(self._fmu.described, used))
-        if self._fmu.described:
-            refuse_first(section_problems("simulator.controller", section, self._fmu.described, units or {}))
         inputs = {variable: NAMES.index(name) for name, variable in signals.items() if name not in output}
         self._writer = self._fmu.writer(inputs)
         self._indices = [inputs[name] for name in self._writer.names]
@@ -276,13 +266,7 @@ def _is_finite(value: Any) -> bool:
 
 
 def controller(
-    section: Mapping[str, Any],
-    folder: Path,
-    work: Path,
-    scratch: Path,
-    scenario: Mapping[str, Any],
-    step: float,
-    units: Mapping[str, str],
+    section: Mapping[str, Any], folder: Path, work: Path, scratch: Path, scenario: Mapping[str, Any], step: float
 ) -> Checked:
     """Returns the controller of a manifest's section. Raises any exception of the user's file, UnusableError of FMUs.
 
@@ -293,7 +277,6 @@ def controller(
         scratch: folder for unpacked files.
         scenario: the scenario's data.
         step: period of the controller (s) if the section has none.
-        units: units of the problem's parameters by name.
     """
     output, period = section["output"], section.get("period", step)
     made: Controller
@@ -303,5 +286,5 @@ def controller(
     elif section["kind"] == "process":
         made = ProgramController(section, work, scenario, period)
     else:
-        made = LoadedFmuController(folder / section["file"], scratch / "fmu", section, period, units)
+        made = LoadedFmuController(folder / section["file"], scratch / "fmu", section, period)
     return Checked(made, output)

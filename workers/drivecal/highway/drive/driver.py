@@ -66,8 +66,7 @@ def prepare(settings: Mapping[str, Any]) -> Evaluate:
     os.chdir(settings["work"])
     print("the controller starts", file=sys.stderr, flush=True)  # noqa: T201  # the last message
     section = simulator.controller.model_dump(mode="json", exclude_none=True)
-    work, units = Path(settings["work"]), settings["parameters"]
-    checked = controller(section, folder, work, scratch, settings["data"], simulator.step, units)
+    checked = controller(section, folder, Path(settings["work"]), scratch, settings["data"], simulator.step)
     control = CommandControl(checked, section.get("period", simulator.step))
     loop = Loop(traffic, vehicle, control)
 
