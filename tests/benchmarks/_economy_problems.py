@@ -245,6 +245,20 @@ def _cliff(x: Floats, scenario: int) -> float | None:
     )
 
 
+def choices() -> EconomyProblem:
+    """Two choices with one best pair of values, and five numbers."""
+    offsets = {"A": {"a": 1.2, "b": 0.9, "c": 0.0, "d": 1.6}, "B": {"a": 0.5, "b": 0.0, "c": 1.0}}
+    numbers = [Parameter.declared(f"x{i}", lower=0, upper=1, step=0.01) for i in range(5)]
+    space = ParameterSpace((*(Parameter.choice(name, tuple(values)) for name, values in offsets.items()), *numbers))
+
+    def run(parameters: Mapping[str, Any], scenario: str) -> float | None:
+        x = np.array([parameters[f"x{i}"] for i in range(5)])
+        away = (1.5 + 0.3 * np.arange(5)) * (x - 0.3 - 0.05 * np.arange(5) - 0.03 * int(scenario[1:])) ** 2
+        return float(0.5 + sum(values[parameters[name]] for name, values in offsets.items()) + away.sum())
+
+    return EconomyProblem("choices", space, tuple(f"C{i}" for i in range(5)), UNIT, run, Constraints(space))
+
+
 PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
     "motorway": motorway,
     "acc_curve": lambda: of_folder(HERE / "acc_curve", in_python),
@@ -259,6 +273,7 @@ PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
 
 @cache
 def problem(name: str, folder: Path | None = None) -> EconomyProblem:
-    """Returns a problem of `PROBLEMS`, or `random_motorway`, with its answers stored in a folder."""
-    made = motorway(random=True) if name == "random_motorway" else PROBLEMS[name]()
+    """Returns a problem of `PROBLEMS`, `random_motorway` or `choices`, with its answers stored in a folder."""
+    others: Mapping[str, Callable[[], EconomyProblem]] = {"random_motorway": lambda: motorway(random=True), "choices": choices}
+    made = {**PROBLEMS, **others}[name]()
     return made if folder is None else replace(made, stored=folder / f"{name}.jsonl")

@@ -3,10 +3,10 @@
 - Synthetic campaigns through the allocation of the product: sets at distances of 1, the noise of a run, and as much noise that all sets
   have in common. `equal`: the same sets and the same rule to stop, but all sets get equally many runs. Runs that report are not counted.
   `--kinds`: `normal` noise; `steps`: noisy ratings in six scenarios, rounded to scores 0..7; `failures`: runs also score 0 by chance.
-- `--problems NAME ...`: problems of `economy`, whose objective has noise of `--noises` distances of the best and the tenth best of 100
-  random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of `--cells`
-  runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the first
-  one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
+- `--problems NAME ...`: problems of `economy`, or `choices`, whose objective has noise of `--noises` distances of the best and the tenth
+  best of 100 random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of
+  `--cells` runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the
+  first one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
 """
 
 import argparse

@@ -198,6 +198,8 @@ def variants_table(variants: Sequence[VariantResult]) -> list[Block]:
         for row in variants
     ]
     caption = "Variants: the best set of each, its value under the best common set, and what commonality costs"
+    if any(row.best is not None and row.best.replicates > 1 for row in variants):
+        caption += "; means over the seeds that both sets ran under: a small cost, or one below 0, may be luck"
     return [Table(["variant", "own best", "common", "cost", "", *names], rows, caption)]
 
 
