@@ -44,7 +44,7 @@ class EvaluatedSet:
     replicates: int = 1
     """Seeds under which it has a result in every scenario."""
     failures: int = 0
-    """Failed runs under these seeds."""
+    """Failed runs under all its seeds."""
     seeds: tuple[int, ...] = ()
     """Seeds whose runs make the objective, if it ran under several."""
     standard_error: float | None = None
@@ -272,6 +272,12 @@ class Ranking:
     def order(self, solution: EvaluatedSet) -> tuple[int, int, int, float, int, int]:
         """Sorts best first: feasible sets first, of equal objectives the one with the most runs, then by the weighted continuous rating,
         then by discovery."""
+        level = self._leveled()[solution.parameter_set]
+        rating = -solution.sign * solution.choice.rating
+        runs = len(self.seeds(solution.parameter_set))
+        return *level, -runs, rating, solution.iteration, solution.individual
+
+    def _leveled(self) -> dict[int, tuple[int, int]]:
         self._assess()
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
@@ -279,9 +285,7 @@ class Ranking:
             objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._judge.first.span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
-        rating = -solution.sign * solution.choice.rating
-        runs = len(self.seeds(solution.parameter_set))
-        return *self._levels[solution.parameter_set], -runs, rating, solution.iteration, solution.individual
+        return self._levels
 
     def close(self) -> int:
         """Returns how many sets cannot be told from the best one."""
@@ -428,11 +432,9 @@ class Ranking:
         """The best solution and how many share its objective, itself included; None before the first."""
         if not self._solutions or self._best is not None:
             return self._best
-        self._assess()
-        self.order(next(iter(self._solutions.values())))  # their levels
-        levels = self._levels or {}
-        first = min(levels[number] for number in self._solutions)
-        alike = [solution for number, solution in self._solutions.items() if levels[number] == first]
+        known = self._leveled()
+        first = min(known[number] for number in self._solutions)
+        alike = [solution for number, solution in self._solutions.items() if known[number] == first]
         self._best = min(alike, key=self.order), len(alike)
         return self._best
 

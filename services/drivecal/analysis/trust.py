@@ -391,9 +391,9 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.budget is None:
         return
     stored = campaign.cells.repeated if _has_outlook(campaign) else 0  # a search by the cell counts them
-    further = {"simulations": f", and took {stored:,} stored answers, which count in a search alone"} if stored else {}
+    further = f"; {stored:,} stored answers also used it during the search"
     used = [
-        f"{round(spent, 1 if limit >= 1 else 2):,} of {limit:,.12g} {unit}{further.get(unit, '')}"
+        f"{round(spent, 1 if limit >= 1 else 2):,} of {limit:,.12g} {unit}{further * (stored > 0 and unit == 'simulations')}"
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
         if (limit := campaign.budget.get(unit)) is not None
     ]

@@ -92,8 +92,8 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> dict[int,
         return {}
     # of an earlier attempt too: another cell's run may be the answer
     ended = leases.end(connection, [answer.id for answer in answers])
-    nothing = 0, 0
-    starts = {each.id: (ended.get(each.id, nothing)[0] - each.unstarted, ended.get(each.id, nothing)[1]) for each in answers}
+    of_each = ((each, *ended.get(each.id, (0, 0))) for each in answers)
+    starts = {each.id: (started - each.unstarted, lost) for each, started, lost in of_each}
     statement = (
         update(evaluations)
         .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))

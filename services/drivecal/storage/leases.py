@@ -109,7 +109,7 @@ def _lost(term: int) -> ColumnElement[int]:
 
 
 def starts(connection: Connection, evaluation_ids: Sequence[int]) -> dict[int, int]:
-    """Returns the starts that broke down of evaluations without an answer, by id."""
+    """Returns the broken starts of evaluations without an answer, by id."""
     query = select(leases.c.evaluation_id, leases.c.starts)
     return dict(rows_among(connection, query, leases.c.evaluation_id, list(evaluation_ids)))
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drivecal.bundles.archives import MANIFEST, content_digest, files_digest, files_of, pack
 from drivecal.bundles.checks import checked
+from drivecal.bundles.fmus.bundles import check_fmus
 from drivecal.bundles.manifest import Manifest
 from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError, Problem
@@ -52,6 +53,7 @@ def read(name: str, folder: Path) -> InstalledProblem:
     manifest = checked(document, files, taken=())
     if manifest.problem != name:
         raise InvalidInputError(Problem("problem", f"{manifest.problem} is registered as {name}", "register it by its name"))
+    check_fmus(manifest, files)
     return InstalledProblem(content_digest(archive), files_digest(archive), manifest, folder=folder)
 
 

@@ -159,7 +159,7 @@ class Best(Answer):
     replicates: int = 1
     """Seeds under which it ran."""
     failures: int = 0
-    """Failed runs under these seeds."""
+    """Failed runs under all its seeds."""
     failure_interval: tuple[float, float] | None = None
     """Exact 95 % interval of the share of its runs that fail, by runs that did not choose the set; null with one seed."""
     noise: dict[str, float] = {}
@@ -411,8 +411,8 @@ class Pace(Answer):
     workers: int | None = None
     """Workers at this moment that can run at once, as the resources of the scenarios allow; null if the dispatcher is silent."""
     seconds: float | None = None
-    """Upper limit of the simulations' time on the `workers`, without planning and predictions, and with 20 ms for each cell that the
-    `surrogate` of a campaign chooses, no other optimizer's time. Null if time or workers are unknown."""
+    """Upper limit of the simulations' time on the `workers`. Includes 20 ms for each cell that `surrogate` chooses; excludes planning,
+    predictions and other optimizers. Null if time or workers are unknown."""
     notes: list[str] = []
 
 

@@ -265,7 +265,7 @@ class Solution(Answer):
     replicates: int = 1
     """Seeds under which it ran in every scenario."""
     failures: int = 0
-    """Failed runs under these seeds."""
+    """Failed runs under all its seeds."""
     seeds: list[int] = Field(default_factory=list)
     """Seeds whose runs make objective and scores, if it ran under several: the last ones, which choose no set, if it has two of them."""
     standard_error: float | None = None

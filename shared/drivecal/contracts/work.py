@@ -44,10 +44,6 @@ class SetupRequest:
     tools: str | None = None
     """Answer of the manifest's `probe` to which the results belong: a worker with another one refuses. None without a probe, and in a
     batch without cells, which asks for it."""
-    units: Mapping[str, str] = field(default_factory=dict)
-    """Units of what the simulator gets, by name (`Manifest.arguments`, varied parameters)."""
-    reported: Mapping[str, str] = field(default_factory=dict)
-    """Units of measures and time series by name."""
     varied: Mapping[str, float] = field(default_factory=dict)
     """Values of the problem's varied parameters, which a run gets among its parameters."""
     evaluator: str | None = None

@@ -81,7 +81,6 @@ class RunOutcome:
 class Declared:
     """Names that a manifest declares of a simulator's answers. Without declared `failures`, a simulator may report any name.
 
-    `units` of measures and series by name, and of `parameters`, which it gets: an FMU that states others is refused.
     `watched`: drivecal records the files that a Python function opens. `varied`: values of side conditions, which all runs of a session
     have in common. `evaluator`: name of an installed evaluator that rates the time series of runs in this process.
     """
@@ -90,8 +89,6 @@ class Declared:
     measures: tuple[str, ...]
     failures: tuple[str, ...] = ()
     series: tuple[str, ...] = ()
-    units: Mapping[str, str] = field(default_factory=dict, compare=False)
-    parameters: Mapping[str, str] = field(default_factory=dict, compare=False)
     watched: bool = field(default=False, compare=False)
     varied: Mapping[str, float] = field(default_factory=dict)
     evaluator: str | None = None
@@ -100,7 +97,7 @@ class Declared:
     def of(cls, setup: SetupRequest, *, watched: bool = False) -> Self:
         """Returns what the simulator of a setup is told, on a worker and by the check of a problem."""
         return cls(
-            *(setup.problem, setup.measures, setup.failures, setup.series, setup.reported, setup.units, watched, setup.varied),
+            *(setup.problem, setup.measures, setup.failures, setup.series, watched, setup.varied),
             evaluator=setup.evaluator and setup.evaluator.split()[0],
         )
 

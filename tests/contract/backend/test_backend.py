@@ -143,7 +143,7 @@ def test_a_busy_simulator_costs_no_attempt(real: str, kind: str, request: pytest
     bundle = archives.content_digest(archive)
     ARCHIVES[bundle] = archive
     section = {"kind": kind, "command": COMMANDS[kind], "timeout": 60.0, "memory_mb": 1000}
-    setup = SetupRequest(bundle, "busy", "city", {}, section, ("x",), (), ("y",), (), (), "f", units={"x": "1"})
+    setup = SetupRequest(bundle, "busy", "city", {}, section, ("x",), (), ("y",), (), (), "f")
     pool = WorkPool(backend, MemoryLeases())
     pool.submit(Work(setup, tuple(Cell(number, {"x": float(number)}) for number in range(1, 5))), tag="a")
     completed: list[Completed] = []

@@ -16,7 +16,6 @@ from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem, resolve, resolve_evaluation
 from drivecal.contracts.specification import CampaignSpecification, EvaluationSpecification, InfluenceMapSpecification
 from drivecal.domain.errors import NotFoundError
-from drivecal.plugins.simulators import Declared
 
 EXAMPLE = Path(__file__).parents[3] / "deploy" / "examples" / "problems" / "python-function" / "problem.yaml"
 TEMPLATES = Path(__file__).parents[3] / "services" / "drivecal" / "client" / "templates"
@@ -208,14 +207,6 @@ def test_the_answer_of_the_probe_is_part_of_every_setup() -> None:
     requests = [problem.bench.requests["wet"] for problem in (old, new)]
     assert [request.tools for request in requests] == ["3.11", "3.12"]
     assert any("3.11" in note for note in old.notes)
-
-
-def test_an_fmu_is_told_of_the_points_of_curves_that_it_gets_and_of_all_units() -> None:
-    parameters = {"x": {"lower": 0, "upper": 1, "unit": "m"}, "gain": {"curve": {"axis": [0, 1]}, "lower": 0, "upper": 1}}
-    document = yaml.safe_load((TEMPLATES / "fmu" / "problem.yaml").read_text()) | {"problem": "fmu", "parameters": parameters}
-    declared = Declared.of(bench_of(Bundle("d1", "f1", checked(document)), "cost").requests["nominal"])
-    assert declared.parameters == {"x": "m", "gain[1]": "1", "gain[2]": "1"}
-    assert declared.units == {"y_last": "1"}
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,8 @@ def test_a_poison_cell_costs_three_attempts_and_leases_and_none_of_its_neighbour
 
 
 def test_cells_that_a_lost_worker_had_not_begun_keep_their_attempts_and_the_budget() -> None:
-    backend, leases, budget = FakeBackend(1), MemoryLeases(), RunBudget(left=3.0)  # two started cells, and the last one again
+    backend, leases = FakeBackend(1), MemoryLeases()
+    budget = RunBudget(left=3.0, taken={101: 0, 102: 0})  # two started cells, and the last one again
     pool = WorkPool(backend, leases)
     pool.submit(Work(setup(), cells([Behaviour.WELL] * 100)), tag="a")
     drain(pool)

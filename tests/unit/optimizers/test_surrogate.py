@@ -20,6 +20,7 @@ from drivecal.domain.scales import Direction, Scale
 from drivecal.optimizers.surrogate.merits import Merit, Standing
 from drivecal.optimizers.surrogate.models import Warp
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
+from drivecal.optimizers.surrogate.search import VALUE_PROMISE
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, Search, SearchTask
 
@@ -512,6 +513,23 @@ def test_a_random_search_tries_each_value_of_a_choice_again_and_again() -> None:
         tried = [sum(indices[2] == value for indices in sets) for value in range(4)]
         assert min(tried) >= 3, tried
         assert tried[2] > sum(tried) / 2, "most have the best one"
+
+
+@pytest.mark.parametrize(("values", "known"), [(20, 0), (4, 500)])
+def test_rare_values_of_a_choice_take_a_fifth_of_the_sets(values: int, known: int) -> None:
+    """Also of many values, and where many sets are known that have one of them; a value that constraints forbid takes nothing."""
+    task = task_of(mean_of(COST, 2), 160, 1, np.array([11, 11, values], dtype=np.int64), ("grid", "grid", "choice"))
+    luck = np.random.default_rng(1)
+    rows = task.sample(known, np.random.default_rng(2))
+    rows[:, 2] = 1
+    before = tuple(CellAnswer(AskedCell(tuple(row), 0), (5.0,)) for row in rows.tolist())
+    task = replace(task, random=True, replicates=5, known=before, feasible=lambda rows: rows[:, 2] != 3)
+    played = Played(task, lambda cell: (1.0 + 3.0 * (cell.indices[2] != 2) + float(luck.normal()), False), 1)
+    search = begun(task)
+    played.play(search)
+    assert len(played.cells) == 160
+    promises = [promise for promise, *_ in search.state()["sets"]]
+    assert 3 < sum(promise == VALUE_PROMISE for promise in promises) <= len({cell.indices for cell in played.cells}) / 5
 
 
 def test_sets_that_are_only_known_from_before_are_not_left_out() -> None:

@@ -35,7 +35,6 @@ def request_(archive: bytes) -> SetupRequest:
         failures=("collision",),
         series=("v",),
         run_fingerprint="fingerprint",
-        units={"x": "m/s"},
     )
 
 

@@ -87,10 +87,7 @@ class BundleCache:
             if not _has_digest(folder, digest):
                 self._signatures.pop(digest, None)
                 if own is not None:
-                    raise UnavailableError(
-                        f"the installed problem {own.manifest.problem} has changed while a worker used it: restart the server and the"
-                        " workers, and submit the campaign again"
-                    )
+                    raise UnavailableError(f"the problem {own.manifest.problem} has changed: restart server and workers")
                 remove(folder)
                 raise UnavailableError(
                     f"the cached files of the bundle {digest} were changed on this machine, perhaps by its simulator; they are removed and"

@@ -164,9 +164,10 @@ class CellTracker:
         for cell in self._pending.values():
             if cell.plan in ANSWERED_BY_DONOR and cell.reference is not None and cell.lot is None:
                 self._copies.setdefault(cell.reference, []).append(cell)
+        self.budget.taken = dict.fromkeys(self._pending, 0) | self.budget.taken
         if self._counts_starts:  # before cells are answered, which gives their starts back
             self.budget.taken.update(leases.starts(connection, list(self._pending)))
-            self.budget.left -= len(self._pending) + self.budget.taken.total()
+            self.budget.left -= len(self._pending) + sum(self.budget.taken.values())
             self._counts_starts = False
         while rejected := self._settle(connection, self._share_runs(connection, self._pending.values())):
             self._simulate(connection, rejected)
@@ -234,10 +235,8 @@ class CellTracker:
             started, lost = starts[answer.id]
             self._counts["runs"] += started
             self._counts["lost"] += lost
-            is_shared = (
-                self._view.isolated and answer.outcome is Outcome.SIMULATED
-            )  # counts, although another campaign started it
-            self.budget.left -= max(started - lost, is_shared)
+            is_another_s = answer.outcome is Outcome.SIMULATED and answer.worker is None
+            self.budget.left -= started - lost + (self._view.isolated and is_another_s)  # which counts as its own
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""
@@ -263,9 +262,9 @@ class CellTracker:
         ]
 
     def _cell(self, pending: StoredEvaluation) -> Cell:
-        share, seed = self._view.bench.repeated_share, self._requests[pending.setup_id].seed
+        share = 0.0 if pending.id in self._breakdowns else self._view.bench.repeated_share  # a suspect runs once
+        seed = self._requests[pending.setup_id].seed
         twice = is_checked(pending.scenario, seed, pending.parameters, share, self._view.seed)
-        twice = twice and pending.id not in self._breakdowns  # a suspect runs once
         twice = twice and (pending.id in self._twice or self.budget.take(pending.id, beyond=self.budget.kept))
         if twice:
             self._twice.add(pending.id)

@@ -121,8 +121,6 @@ class Bench:
                 run_fingerprint=self.setups[name].fingerprint,
                 document=self.setups[name].document,
                 tools=self.bundle.tools,
-                units=manifest.arguments | {name: entry.unit for name, entry in manifest.varied.items()},
-                reported=manifest.reported | manifest.series,
                 varied=self.vehicles.get(name, self.values),
                 evaluator=f"{rater.name} {rater.version}" if isinstance(rater, SeriesEvaluator) else None,
                 seed=self.seed,

@@ -55,6 +55,7 @@ class OutsideSearch(SearchStage):
         for number in range(self._closed):
             self._answers.forget(number)
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= self._closed}
+        self._begin()  # its optimizer may think for long
 
     def _may_ask(self) -> bool:
         return not self._under_way or (self._search.ended_by is None and self._tracker.waiting < self._ahead)

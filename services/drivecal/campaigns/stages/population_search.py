@@ -30,14 +30,12 @@ from drivecal.storage.generations import StoredGeneration
 
 ENDLESS = 20
 """Generations ahead of a search that no budget of simulations and no number of iterations ends."""
-CELLS_OF_WORKER = 4
-"""Cells of a batch for each worker, if minutes may end the search."""
 CONFIRMED = 3
 """Sets whose confirmation a budget is to suffice for."""
 
 
 class PopulationSearch(ComputedSearch):
-    """A search by a generational optimizer. A generation is one batch, unless predictions learn, or minutes may end, within it."""
+    """A search by a generational optimizer. A generation is one batch; with predictions or a budget of minutes it may be several."""
 
     window = 1
     has_populations = True
@@ -126,11 +124,10 @@ class PopulationSearch(ComputedSearch):
         changed = [int(index) for index in np.flatnonzero(asked.changed)]
         if number:
             self._changed = float(len(changed))
-        size, budget = len(asked.changed), self._optimization.budget
-        if budget is not None and budget.minutes is not None:  # which may be over within a generation
-            size = -(-CELLS_OF_WORKER * self._view.workers // len(self._problem.scenarios))
-        if self._planner is not None and number == 0:
-            size = min(size, slice_size(self._optimization.population))
+        budget = self._optimization.budget
+        is_timed = budget is not None and budget.minutes is not None and not self._view.influence_map_sequence  # has lots
+        is_split = is_timed if self._planner is None else number == 0
+        size = slice_size(self._optimization.population) if is_split else len(asked.changed)
         return [list(members) for _, members in groupby(changed, lambda index: index // size)] or [[]]
 
     def _next_batch(self) -> Round:
@@ -180,12 +177,12 @@ class PopulationSearch(ComputedSearch):
         del connection
         if asked.number >= self._next:
             return planned
-        room, reduction = 0 if self._is_late else self._cells_left, self._problem.specification.reduction
-        seeds = [bench.seed for bench, _ in asked.cells]
+        seeds, reduction = [bench.seed for bench, _ in asked.cells], self._problem.specification.reduction
+        place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
+        room = 0 if self._is_late and not place else self._cells_left
         outcomes = {cell.plan for cell in planned} | {name for name, count in self._tracker.counts.items() if count}
         if outcomes & {Outcome.PREDICTED, Outcome.REUSED}:  # may confirm the best set
             room -= min(min(reduction.confirm, CONFIRMED) * len(self._problem.scenarios), (self._limit or 0) // 10)
-        place, within = seeds.index(planned[0].seed) if planned else 0, list(planned)
         if place:
             within = [cell for cell in planned if cell.individual in self._kept]
         wanted = {cell.individual for cell in within}

@@ -116,9 +116,8 @@ class SearchStage(Stage):
     def _minutes(self) -> float:
         """Minutes of the search so far, or up to its end, without the time since its last stored result when it paused."""
         spent = None if self._search.ended_by is None else self._search.spent_minutes
-        if spent is not None or self._since is None:
-            return spent or 0.0
-        return (time.monotonic() - self._since) / 60
+        so_far = 0.0 if self._since is None else (time.monotonic() - self._since) / 60
+        return so_far if spent is None else spent
 
     def _end_search(self, reason: SearchEnd) -> None:
         """Notes the end, which is stored with the next rows."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -31,14 +30,15 @@ class RunBudget:
     left: float = math.inf
     kept: float = 0.0
     """The part of `left` that its search needs for further cells."""
-    taken: Counter[int] = field(default_factory=Counter)
+    taken: dict[int, int] = field(default_factory=dict)
     """Further runs of each cell without an answer, by id."""
 
     def take(self, cell: int, *, beyond: float = 0.0) -> bool:
-        """Takes a further run for a cell if more than `beyond` are left; returns whether there was one."""
-        affordable = self.left >= beyond + 1
-        self.left -= affordable
-        self.taken[cell] += affordable
+        """Takes a further run for a cell without an answer if more than `beyond` are left; returns whether there was one."""
+        affordable = cell in self.taken and self.left >= beyond + 1
+        if affordable:
+            self.left -= 1
+            self.taken[cell] += 1
         return affordable
 
     def give_back(self, cell: int) -> None:

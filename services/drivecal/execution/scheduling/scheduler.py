@@ -450,7 +450,8 @@ class Scheduler:
         if begun:
             simulation.fault = f"{answer.breakdown}: {answer.detail or 'no message'}"
         completed: list[Completed] = []
-        if begun and not leader.withdrawn and not self._budgets.get(leader.tag, RunBudget()).take(leader.cell.id):
+        budget = self._budgets.get(leader.tag)
+        if begun and not leader.withdrawn and budget is not None and not budget.take(leader.cell.id):
             completed.append(Completed(leader.tag, worker, answer, simulation.breakdowns))
             leader.withdrawn = True
         self._try_again(leader)

@@ -94,8 +94,8 @@ PENDING = 64
 """Most unanswered sets that the models count as known."""
 DORMANT = 64
 """Most sets with known answers from before that are looked at in detail."""
-VALUE_EVERY, VALUE_PROMISE = 5, 0.01
-"""At most each fifth set is begun for its value of a choice; it has this promise, unless its chance is larger."""
+VALUE_EVERY, VALUE_PROMISE, MOST_RARE = 5, 0.01, 4
+"""Each fifth set, at most, is begun for a value of a choice, with this promise; values that are tried until one is feasible."""
 DESIGN, PROPOSAL, DRAWING, DIRECTION, NOISE = range(5)
 """Streams of random numbers."""
 
@@ -118,8 +118,6 @@ class SurrogateSearch:
             ScenarioModel(task.aim.values, len(task.kinds), encoding.owners, best, worst, random=task.random)
             for best, worst in zip(ends, task.aim.worst, strict=True)
         ]
-        choices = [place for place, kind in enumerate(task.kinds) if kind == "choice"]
-        self._choices = [(place, value) for place in choices for value in range(int(task.n_values[place]))]
         self._learned: list[tuple[int, ...]] = [() for _ in self._models]
         """Basis of each model: number of answers, and pending sets."""
         self._standings: list[Standing] = []
@@ -371,16 +369,20 @@ class SurrogateSearch:
         number = len(self._answers.sets)
         generator, merit = self._generator(PROPOSAL, number), self._merit(number)
         merit.least_gain = self._least_gain(number, merit)
-        rare, wanted = self._rare_value()
         drawn = np.concatenate([self._task.sample(SPREAD, generator), self._children(self._parents(), NEAR, generator)])
-        rows = self._new(drawn, generator, rare)
+        for *rare, wanted in self._rare_values():
+            if len(rows := self._new(drawn, generator, rare)):
+                count = min(count, wanted)
+                break
+        else:
+            rare, rows = [], self._new(drawn, generator)
         merits = self._merits_of(rows, merit, number)
         for _ in range(REFINEMENTS if len(rows) else 0):
             top = merit.best_first(merits)[:REFINED]
             more = self._new(self._children(rows[top], REFINING, generator), generator, rare)
             rows, merits = np.concatenate([rows, more]), np.concatenate([merits, self._merits_of(more, merit, number)], axis=1)
         improvements = merit.improvements(merits)
-        begun = None if rare and len(rows) else self._begun_before(merit)
+        begun = None if rare else self._begun_before(merit)
         if begun is not None and (not len(rows) or begun[0] > improvements.max()):
             if len(self._answers.missing(begun[1])):
                 begun[1].promise, begun[1].whole = begun[2], len(self._aims) > 1
@@ -390,11 +392,11 @@ class SurrogateSearch:
         if not len(rows):
             return []
         sets: list[BegunSet] = []
-        for place in range(min(count, wanted) if rare else count):
+        for place in range(count):
             order = merit.best_first(merits) if place == 0 else np.argsort(-merits[(number + place) % DRAWS], kind="stable")
             chosen = next((row for row in order.tolist() if tuple(rows[row].tolist()) not in self._answers), None)
             if chosen is not None:
-                chance = max(merit.beaten_by(merits[:, chosen]), VALUE_PROMISE if rare else 0.0)
+                chance = VALUE_PROMISE if rare else merit.beaten_by(merits[:, chosen])
                 sets.append(self._answers.begin(tuple(rows[chosen].tolist()), promise=chance))
         return sets
 
@@ -442,29 +444,38 @@ class SurrogateSearch:
         merits = merit(drawn.reshape(-1, *drawn.shape[2:])).reshape(len(sets), FEW_DRAWS)
         return [sets[place] for place in sorted(merit.best_first(merits.T)[:DORMANT].tolist())]
 
-    def _rare_value(self) -> tuple[tuple[int, int] | None, int]:
-        """Returns a choice and its value that the next sets are to have, and how many sets: as many as bandits try of each arm, the
-        logarithm of all (Lai and Robbins 1985). After a few unlucky runs of a random simulator the models promise it no gain any more."""
-        if not self._task.random or not self._choices:
-            return None, 0
-        sets = self._answers.sets
-        rows, begun_for_it = self._rows(sets), sum(begun.promise == VALUE_PROMISE for begun in sets)
-        count, place, value = min((int((rows[:, place] == value).sum()), place, value) for place, value in self._choices)
-        wanted = min(len(sets) // VALUE_EVERY - begun_for_it, int(np.ceil(np.log2(len(sets) + 1))) - count)
-        return ((place, value) if wanted > 0 else None), wanted
+    def _rare_values(self) -> list[tuple[int, int, int]]:
+        """Returns choices, each with a value that the next sets are to have, and how many sets, the rarest values first.
 
-    def _new(self, rows: Indices, generator: np.random.Generator, fixed: tuple[int, int] | None = None) -> Indices:
-        """Returns the feasible ones of repaired rows that have not begun, each once; `fixed`: a parameter and the value that all get. Rows
+        As many sets are to have a value as bandits try of each arm, the logarithm of all (Lai and Robbins 1985): after a few unlucky runs
+        of a random simulator the models promise it no gain any more.
+        """
+        sets, choices = self._answers.sets, [place for place, kind in enumerate(self._task.kinds) if kind == "choice"]
+        own = [begun.promise for begun in sets if begun.promise is not None or begun.whole]
+        most = len(own) // VALUE_EVERY - own.count(VALUE_PROMISE)
+        if not self._task.random or not choices or most < 1:
+            return []
+        rows, least = self._rows(sets), int(np.ceil(np.log2(len(sets) + 1)))
+        counts = ((place, np.bincount(rows[:, place], minlength=self._task.n_values[place])) for place in choices)
+        counted = [(count, place, value) for place, by_value in counts for value, count in enumerate(by_value.tolist())]
+        return [
+            (place, value, min(most, least - count)) for count, place, value in sorted(counted)[:MOST_RARE] if count < least
+        ]
+
+    def _new(self, rows: Indices, generator: np.random.Generator, fixed: Sequence[int] = ()) -> Indices:
+        """Returns the feasible ones of repaired rows that have not begun, each once; `fixed`: a parameter and the value that all have. Rows
         nearer to a set that the aim compares with join them: no random step ends at its very values."""
         references = self._task.references
         if references is not None:
             chosen = references[generator.integers(len(references), size=len(rows))]
             back = generator.random(rows.shape) < generator.random((len(rows), 1))
             rows = np.concatenate([rows, np.where(back, chosen, rows)])
-        if fixed is not None:
+        if fixed:
             rows = rows.copy()
             rows[:, fixed[0]] = fixed[1]
         rows = self._task.repair(rows)
+        if fixed:  # constraints may allow it nowhere near
+            rows = rows[rows[:, fixed[0]] == fixed[1]]
         # In the order of drawing: while the models say nothing all rows are equal, and the first one is taken.
         rows = rows[np.sort(np.unique(rows, axis=0, return_index=True)[1])]
         fresh = np.array([tuple(row) not in self._answers for row in rows.tolist()], dtype=np.bool_)
