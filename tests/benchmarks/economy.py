@@ -193,6 +193,7 @@ ARMS: Mapping[str, Callable[[Run, int], None]] = {
     "tpe": tpe,
     "surrogate": surrogate(1, 1),
     "surrogate_2x5": surrogate(2, WINDOW),
+    "surrogate_16x5": surrogate(16, WINDOW),  # as for 32 workers
 }
 
 
@@ -317,7 +318,7 @@ def main(arguments: Sequence[str]) -> int:
     """Prints the table; 1 if an optimizer is significantly better than `surrogate`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
-    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if arm != "surrogate_2x5"])
+    parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if "x" not in arm])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--cells", type=int, default=BUDGETS[1])
     parser.add_argument("--cache", type=Path, help="folder of simulated answers")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from tests.support.computed import ComputedBackend
 from tests.support.databases import migrated
 from tests.support.deaths import killed_between_rounds
 from tests.support.problems import scored, store, submit_checked
-from tests.support.runs import everything, get, rows_of, run, submit
+from tests.support.runs import dispatcher, everything, get, rows_of, run, submit
 from tests.support.values import present
 
 from drivecal.campaigns.resolve import resolvers
@@ -88,10 +89,37 @@ def test_the_same_search_again_simulates_nothing_and_another_begins_with_what_is
     again = carried_out(database, likeness="a", **spec)
     other = carried_out(database, likeness="b", weights={"S1": 3.0}, **spec)
     assert (again.cells.runs, again.cells.repeated, again.best == first.best) == (0, 30, True)
-    assert (other.cells.repeated >= 9, other.cells.runs + other.cells.repeated) == (True, 30)  # the three best stored sets
+    assert other.cells.repeated >= 9  # the three best stored sets
+    assert 30 - 2 <= other.cells.runs + other.cells.repeated <= 30, "no further set fits"
     further = carried_out(database, likeness="c", **spec | {"catalogue": ["S1", "S2", "S3", "S4"]})
     begun = rows_of(database, further)[0].parameters.floats
     assert begun == present(first.best).parameters, "no stored set has S4, where all count alike"
+
+
+@pytest.mark.parametrize("kills", [False, True])
+def test_a_search_waits_for_its_answers_before_it_has_nothing_to_ask_for(tmp_path: Path, kills: bool) -> None:
+    """All sets of a small space are asked for, or stored, and a set gets further seeds once its first one is answered."""
+    database = migrated(f"sqlite:///{tmp_path / 'drivecal.db'}")
+    store(database, scored("small", {"x": {"lower": 0, "upper": 3, "step": 1}}, simulator=RANDOM))
+    asked = {"problem": "small", "optimizer": {"kind": "surrogate"}, "budget": {"simulations": 60}}
+    ended = [run(database, submit_checked(database, asked), ComputedBackend(driven=lucky))]
+    campaign, working = submit_checked(database, asked | {"name": "again"}), dispatcher(database, ComputedBackend(driven=lucky))
+    for _ in range(2_000):
+        working.step()
+        if get(database, campaign).state.ended:
+            break
+        if kills:
+            working = dispatcher(database, ComputedBackend(driven=lucky))
+    ended.append(get(database, campaign))
+    assert [each.cells.requested for each in ended] == [4 * 8] * 2, "each set has all seeds that search"
+
+
+RANDOM = {"kind": "process", "command": ["mysim"], "random": True}
+
+
+def lucky(setup: Any, cell: Cell) -> CellResult:
+    luck = random.Random(f"{setup.seed} {cell.parameters}").gauss(0, 1)
+    return CellResult(cell.id, None, None, {"y": 5.0 + float(cell.parameters["x"]) + luck}, None, 7.0)
 
 
 def costly(_: Any, cell: Cell) -> CellResult:

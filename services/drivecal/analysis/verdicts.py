@@ -43,8 +43,7 @@ SCORES = CONFIRMED | {
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
     "never_confirmed": "The best set was not simulated again after the search (reduction.confirm is 0): a score may be a copy.",
     "front_copied": "{copied:,} of {size:,} sets of the front have a copied score.",
-    "map_wrong": "The influence map is wrong for {rates:shares} of the variants, in the mean over base sets (validation {study:id}). "
-    "{then}",
+    "map_wrong": "The influence map is wrong for {rates:shares} of the variants, in the mean over bases (validation {study:id}). {then}",
     "map_validated": "The influence map was validated: {wrong:,} of {variants:,} variants were wrong, at most {worst:.1 %} in a scenario; "
     "in any, at most {upper:.1 %} are (95 %); more samples of a validation tell it more closely.",
     "map_unchecked": "The influence map answered cells without lots (max_error is 1), and was not validated.",

@@ -20,7 +20,7 @@ from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.engine.urls import parse, sqlite_file
 
-DISPATCHER = (sys.executable, "-m", "drivecal.dispatch")
+DISPATCHER = (sys.executable, "-P", "-m", "drivecal.dispatch")
 BACKLOG = 512
 PROBE_SECONDS = 2.0
 ANSWERING = "the page answers at %s; the workers are starting"
@@ -115,7 +115,7 @@ def run_server(settings: Settings, listener: socket.socket, url: str, ready: Cal
     database = Database.open(settings.database_url, PROMPT)  # a signal waits for what is asked
     startup = Startup(database, url)
     descriptor = listener.fileno()
-    api = (sys.executable, "-m", "drivecal.api", "--socket", str(descriptor))
+    api = (sys.executable, "-P", "-m", "drivecal.api", "--socket", str(descriptor))
     children = [
         ChildProcess("API", api, settings.environment | {"DRIVECAL_WEBHOOK": ""}, (descriptor,)),  # a secret
         ChildProcess("dispatcher", (*DISPATCHER, str(os.getpid())), settings.environment),

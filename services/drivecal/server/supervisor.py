@@ -68,7 +68,7 @@ class _Child:
         before.close()
         kept = (*self.specification.keep, self._pulse.writer)
         keep = ",".join(map(str, kept))
-        guardian = [sys.executable, "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
+        guardian = [sys.executable, "-P", "-m", "drivecal.server.guardian", str(GRACE_SECONDS), keep]
         self.process = subprocess.Popen(  # noqa: S603  # the server's own commands
             [*guardian, *self.specification.command],
             stdin=subprocess.PIPE,  # never written to; its end tells the guardian that we are gone

@@ -83,28 +83,27 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[Reque
     return list(ids)
 
 
-def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> dict[int, tuple[int, int]]:
-    """Stores answers; returns the starts of the simulator for each cell by id, and how many of these were lost.
+def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int, int]:
+    """Stores answers; returns the starts of the simulator for their cells, and how many of these were lost.
 
     An answered cell keeps its answer, so that late results change nothing, and loses its lease.
     """
     if not answers:
-        return {}
+        return 0, 0
     # of an earlier attempt too: another cell's run may be the answer
     ended = leases.end(connection, [answer.id for answer in answers])
-    of_each = ((each, *ended.get(each.id, (0, 0))) for each in answers)
-    starts = {each.id: (started - each.unstarted, lost) for each, started, lost in of_each}
+    started = {answer.id: ended.get(answer.id, (0, 0))[0] - answer.unstarted for answer in answers}
     statement = (
         update(evaluations)
         .where(evaluations.c.id == bindparam("evaluation"), evaluations.c.outcome.is_(None))
         .values({name: bindparam(f"new_{name}") for name in (*_ANSWER, "runs")})
     )
     rows = [
-        {"evaluation": answer.id, "new_runs": starts[answer.id][0]} | {f"new_{name}": getattr(answer, name) for name in _ANSWER}
+        {"evaluation": answer.id, "new_runs": started[answer.id]} | {f"new_{name}": getattr(answer, name) for name in _ANSWER}
         for answer in answers
     ]
     execute_rows(connection, statement, rows)
-    return starts
+    return sum(started.values()), sum(lost for _, lost in ended.values())
 
 
 def store(connection: Connection, column: str, values: Mapping[int, Any]) -> None:

@@ -112,7 +112,7 @@ def cpus_of(option: int | None, environment: Mapping[str, str]) -> int | None:
 def _exec_guard(command: list[str]) -> int:
     """Replaces this process, which has loaded all of Ray by now, by the small guard of `command`."""
     executable = str(Path(sys.executable).with_name(command[0]))
-    os.execv(sys.executable, [sys.executable, "-m", "drivecal.cluster.guard", executable, *command[1:]])  # noqa: S606  # no shell
+    os.execv(sys.executable, [sys.executable, "-P", "-m", "drivecal.cluster.guard", executable, *command[1:]])  # noqa: S606  # no shell
 
 
 if __name__ == "__main__":

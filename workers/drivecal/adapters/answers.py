@@ -17,8 +17,6 @@ from drivecal.plugins.simulators import BusyError, Declared, NoMeasuresError, Ru
 MOST_SERIES_VALUES = 1_000_000
 """Limit of the values of all time series of a run."""
 _LONGEST_TEXT = 300
-_NONE = (None, False, "")
-"""Values of `error` and `busy` with which there is none."""
 
 
 def document(content: bytes, source: str) -> dict[str, Any]:
@@ -43,7 +41,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
     A failed run may have no, empty or infinite numbers: those measures are left out, and series with such values.
     """
     refuse_busy(answer)
-    if answer.get("error") not in _NONE:
+    if answer.get("error") not in (None, False, ""):
         raise _error(f"the simulator reports: {_shown(str(answer['error']))}")
     failure, reported, recorded = answer.get("failure"), answer.get("measures"), answer.get("series", {})
     if failure is not None:
@@ -64,7 +62,7 @@ def outcome(answer: Mapping[str, Any], declared: Declared, *, series: bool, repl
 
 def refuse_busy(answer: Mapping[str, Any]) -> None:
     """Raises BusyError if an answer says why the simulator takes no run for now."""
-    if answer.get("busy") not in _NONE:
+    if answer.get("busy") not in (None, False, ""):
         raise BusyError(_shown(str(answer["busy"])))
 
 

@@ -79,9 +79,8 @@ class BundleCache:
         if not self.has(digest):
             reason = f": {self._failures[digest]}" if digest in self._failures else ""
             raise UnavailableError(f"the files of the bundle {digest} are not on this machine{reason}")
-        if own is None:
-            _refuse_others(self._folder)
-            _refuse_others(folder)
+        for each in (self._folder, folder) if own is None else ():
+            _refuse_others(each)
         signature = _signature(folder)
         if self._signatures.get(digest) != signature:
             if not _has_digest(folder, digest):

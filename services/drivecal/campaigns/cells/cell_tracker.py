@@ -230,13 +230,11 @@ class CellTracker:
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
         """Stores answers, and counts the starts of the simulator for their cells."""
-        starts = evaluations.answer(connection, answers)
-        for answer in answers:
-            started, lost = starts[answer.id]
-            self._counts["runs"] += started
-            self._counts["lost"] += lost
-            is_another_s = answer.outcome is Outcome.SIMULATED and answer.worker is None
-            self.budget.left -= started - lost + (self._view.isolated and is_another_s)  # which counts as its own
+        started, lost = evaluations.answer(connection, answers)
+        self._counts["runs"] += started
+        self._counts["lost"] += lost
+        shared = sum(answer.outcome is Outcome.SIMULATED and answer.worker is None for answer in answers)  # started by others
+        self.budget.left -= started - lost + shared * self._view.isolated
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""

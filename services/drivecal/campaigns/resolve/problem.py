@@ -373,7 +373,7 @@ def resolve(specification: CampaignSpecification, bundles: BundleSource = instal
     if bench.is_random:
         notes += note_lost(goals)
     else:
-        notes += on_reuse + resolvers.note_predictions(specification, bench.scale, has_populations=population is not None)
+        notes += on_reuse + (resolvers.note_predictions(specification, bench.scale) if population is not None else ())
     sets = baseline, start_sets, robust_sets
     problem = CalibrationProblem(specification, bench, space, weights, optimization, *sets, notes, allowed, goals, own_goals)
     _check_rates(problem, diagnostics)

@@ -134,11 +134,10 @@ def check_units(specification: CampaignSpecification, scale: Scale, diagnostics:
             diagnostics.add(field, message, f"give at most {scale.amount(scale.span)}")
 
 
-def note_predictions(specification: CampaignSpecification, scale: Scale, *, has_populations: bool) -> tuple[str, ...]:
-    """Notes that scores without steps are hardly predicted if no difference is tolerated. A search by the cell predicts none."""
+def note_predictions(specification: CampaignSpecification, scale: Scale) -> tuple[str, ...]:
+    """Notes that scores without steps are hardly predicted if no difference is tolerated."""
     reduction = specification.reduction
-    asks_predictions = specification.optimizer is not None and reduction.predicts
-    if not (asks_predictions and has_populations) or scale.step is not None or reduction.tolerance_on(scale) > 0:
+    if specification.optimizer is None or not reduction.predicts or scale.step is not None or reduction.tolerance_on(scale) > 0:
         return ()
     remedy = "a `tolerance` of the score in problem.yaml, or `reduction.tolerance`, lets predictions answer cells"
     return (f"the score {scale.name} has neither steps nor a tolerance, so hardly any prediction is right: {remedy}",)

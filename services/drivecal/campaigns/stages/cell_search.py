@@ -56,11 +56,13 @@ class CellSearch(ComputedSearch):
         super().__init__(database, campaign, problem, view)
         if self._limit is not None:
             self._tracker.limit_cells(_most_cells(self._within, problem))
-        told = max(0, self._next - self.window)
         with database.read() as connection:
             last = generations.last(connection, campaign.sequence)
             self._answers.take_in(connection, campaign.sequence, range(self._closed))
             rounds = asked_rounds(connection, campaign.sequence, problem.scenarios)
+        state = {} if last is None else last.optimizer_state or {}
+        self._early = int(state.get("early", 0))
+        told = max(0, self._next - self.window + self._early)
         self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
         if self._search.ended_by is None:
             answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
@@ -87,6 +89,7 @@ class CellSearch(ComputedSearch):
         asked = self._propose()
         if asked is None:
             return None if self._under_way else self._after_search()
+        asked.state["early"] = self._early
         self._tracker.note_discarded(asked.state.get("discarded", 0))
         number, cells = self._next - 1, self._cells(asked, range(len(asked.population)))
         self._go_on()

@@ -102,8 +102,11 @@ class Replication:
         chosen, requested = self._problem.optimization, tracker.counts.get("requested", 0)
         if chosen is None or chosen.budget is None or chosen.budget.simulations is None:
             most, shown = self._problem.specification.replicates.most, self._problem.fewest_seeds
+            searched, of_set = requested - after, len(self._problem.scenarios) * self._problem.least_replicates
+            if chosen is None or chosen.has_populations:  # which ask for equal sets again and again
+                searched = min(searched, self._answers.ranking.sets * of_set)
             fewest = replicates.fewest(len(self._problem.scenarios), most, shown, self._problem.scenarios_of_variants)
-            kept = max(fewest, int((requested - after) * replicates.KEPT / (1 - replicates.KEPT)))
+            kept = max(fewest, int(searched * replicates.KEPT / (1 - replicates.KEPT)))
             return kept + len(self._problem.baseline_seeds) * len(self._problem.scenarios) - after
         left = int(tracker.budget.left)
         return left if chosen.has_populations else min(left, chosen.budget.simulations - requested)

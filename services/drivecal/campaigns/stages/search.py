@@ -269,9 +269,7 @@ class SearchStage(Stage):
         counts = CellCounts(**self._tracker.counts)
         notes = [*self._problem.notes, *notes_on_lots(self._error_rate)]
         if counts.unrepeatable:
-            advice = note_predictions(
-                self._problem.specification, self._problem.bench.scale, has_populations=self.has_populations
-            )
+            advice = note_predictions(self._problem.specification, self._problem.bench.scale)  # holds for equal runs
             notes = [note for note in notes if note not in advice]
             notes.append(f"runs that differ from another one of the same cell: {counts.unrepeatable}; scores are samples")
             if not self._repeatable_no_more:
@@ -306,7 +304,7 @@ class SearchStage(Stage):
 
 
 class ComputedSearch(SearchStage):
-    """A search that computes its rounds in a thread: round n knows the answers of the rounds up to n - `window` and nothing else."""
+    """A search that computes its rounds in a thread. Round n knows the answers of the rounds up to n - `window` + `_early`, no others."""
 
     window: ClassVar[int]
 
@@ -316,19 +314,26 @@ class ComputedSearch(SearchStage):
         """The search; None until it is created or restored."""
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
+        self._early = 0
+        """Number of rounds of the window whose answers the next round knows as well, as it had nothing to ask for without them."""
         self._replication = Replication(problem, self._answers, self._benches)
 
     def _awaited(self) -> Wait | None:
-        """Waits until the search is restored, or has computed the next round."""
-        if self._computation is not None and not self._computation.is_done:
-            return "computation"
-        if self._computation is not None and not self._computation.asks:
-            (self._asker, _), self._computation = self._computation.result(), None
+        """Waits until the search is restored, or has computed the next round, with more answers if it has nothing to ask for."""
+        while (computed := self._computation) is not None:
+            if not computed.is_done:
+                return "computation"
+            if computed.asks and (computed.result()[1] is not None or not self._next or self._early >= self.window - 1):
+                break
+            (self._asker, _), self._computation = computed.result(), None
+            if computed.asks:
+                self._early = max(self._early + 1, self.window - self._next)
+                self._go_on()
         return None
 
     def _compute(self, obtain: Callable[[], Asker]) -> None:
         """Begins to obtain the search, and to ask it for the next round if that may be asked for."""
-        number, oldest, known = self._next, self._next - self.window, None
+        number, oldest, known = self._next, self._next - self.window + self._early, None
         asks = oldest < 0 or self._closed > oldest
         if asks and (reason := self._end_before(number)) is not None:
             self._end_search(reason)

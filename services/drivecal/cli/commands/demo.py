@@ -69,8 +69,8 @@ def coordinator(home: Path, say: Callable[[str], None] = lambda _: None) -> Iter
     settings = load_settings(home=str(home), database_url=_database_url(home)).environment
     environment = {name: value for name, value in (os.environ | settings).items() if name != "DRIVECAL_TOKENS_FILE"}
     # The guardian ends the server, whatever becomes of the demo: it notices when our end of its standard input is gone.
-    guardian = [sys.executable, "-m", "drivecal.server.guardian", str(SECONDS_TO_STOP), ""]
-    serve = [sys.executable, "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
+    guardian = [sys.executable, "-P", "-m", "drivecal.server.guardian", str(SECONDS_TO_STOP), ""]
+    serve = [sys.executable, "-P", "-m", "drivecal.cli", "serve", "--host", "127.0.0.1", "--port", "0", "--json"]
     with (home / ANNOUNCEMENT).open("wb") as announcement, (home / LOG).open("wb") as log:
         # In a session of its own: Ctrl-C reaches the demo alone, which then stops the server as it should be stopped.
         process = subprocess.Popen(  # noqa: S603  # our own command

@@ -121,7 +121,7 @@ class ProcessBackend(SupervisedBackend):
             ours, theirs = map(opened.enter_context, socket.socketpair())
             pulse, starts = opened.enter_context(closing(Pipe())), opened.enter_context(tempfile.TemporaryFile())
             kept = [theirs.fileno(), pulse.writer, starts.fileno()]
-            command = [sys.executable, "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
+            command = [sys.executable, "-P", "-m", "drivecal.execution.processes.child", *map(str, kept), worker.name]
             process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=kept)  # noqa: S603  # our own module
             worker.handle = ConnectedProcess(process, Connection(ours.detach()), pulse, starts, self._arrived)
             opened.pop_all()

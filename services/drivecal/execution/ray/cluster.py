@@ -99,7 +99,7 @@ class OwnNode:
         too little shared memory."""
         check_shared_memory()
         self._process = subprocess.Popen(  # noqa: S603  # drivecal's own command
-            [sys.executable, "-m", "drivecal.cluster", "worker", address, "--cpus", "0"],
+            [sys.executable, "-P", "-m", "drivecal.cluster", "worker", address, "--cpus", "0"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             preexec_fn=_end_with_parent,  # noqa: PLW1509  # called by the main thread, before Ray starts others

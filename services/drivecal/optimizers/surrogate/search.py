@@ -243,9 +243,9 @@ class SurrogateSearch:
                     self._ask_all(begun, room, cells)
 
     def _may_begin(self) -> bool:
-        """Returns whether enough cells are left for a new set. Half of the cells of open sets are reserved: some are given up."""
+        """Returns whether enough cells are left for a new set and the open sets: with many workers, many would stay incomplete."""
         left = self._left
-        reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open) // 2
+        reserved = sum(len(self._answers.missing(begun)) for begun in self._answers.open)
         return left is None or left - reserved >= self._needs[self._turn(len(self._answers.sets))].sum()
 
     def _turn(self, number: int) -> int:
@@ -445,11 +445,8 @@ class SurrogateSearch:
         return [sets[place] for place in sorted(merit.best_first(merits.T)[:DORMANT].tolist())]
 
     def _rare_values(self) -> list[tuple[int, int, int]]:
-        """Returns choices, each with a value that the next sets are to have, and how many sets, the rarest values first.
-
-        As many sets are to have a value as bandits try of each arm, the logarithm of all (Lai and Robbins 1985): after a few unlucky runs
-        of a random simulator the models promise it no gain any more.
-        """
+        """Returns choices, each with a rare value that the next sets are to have, and how many sets: as bandits try each arm, the logarithm
+        of all (Lai and Robbins 1985). After a few unlucky runs of a random simulator the models promise it no gain any more."""
         sets, choices = self._answers.sets, [place for place, kind in enumerate(self._task.kinds) if kind == "choice"]
         own = [begun.promise for begun in sets if begun.promise is not None or begun.whole]
         most = len(own) // VALUE_EVERY - own.count(VALUE_PROMISE)
