@@ -12,7 +12,6 @@ from tests.support.deaths import mortal
 from tests.support.runs import EXPERT_SPACE, dispatcher, finish, get, request, rows_of, submit
 from tests.support.values import present
 
-from drivecal.campaigns.cells.predicting import slice_size
 from drivecal.campaigns.resolve.maps import resolve_map
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages import search as searches
@@ -176,7 +175,7 @@ def test_minutes_end_within_a_large_generation_and_begin_with_the_first_run(
     clock.now += 36_000.0
     ended = finish(database, campaign, working)
     assert (present(ended.search).ended_by, ended.best is not None) == ("budget", True)
-    assert 0 < ended.cells.requested <= 2 * 2 * slice_size(60)
+    assert 0 < ended.cells.requested < 2 * 60
 
 
 def test_populations_end_with_the_one_after_which_the_search_has_stood_still(database: Database) -> None:

@@ -19,6 +19,4 @@ def arrow_table(schema: Any, rows: Iterable[Mapping[str, Any]]) -> Any:
     """Returns a `pyarrow.Table` of rows, which may lack columns of the schema."""
     import pyarrow as pa
 
-    listed = list(rows)
-    arrays = [pa.array([row.get(column.name) for row in listed], column.type) for column in schema]
-    return pa.Table.from_arrays(arrays, schema=schema)
+    return pa.Table.from_pylist(list(rows), schema=schema)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from drivecal.contracts import strict_json
-from drivecal.contracts.strict_json import shown
 from drivecal.contracts.strict_yaml import located_yaml
 from drivecal.domain.errors import InvalidInputError, Problem, file_faults, restated
 
@@ -52,7 +51,9 @@ def _located_document(file: str) -> tuple[dict[str, Any], str, Mapping[str, int]
             document, lines = located_yaml(content)
         strict_json.check_plain(document)
     if not isinstance(document, dict):
-        raise InvalidInputError(Problem(name, f"it holds {shown(document)}, not an object", "write `field: value` lines"))
+        raise InvalidInputError(
+            Problem(name, f"it holds {strict_json.shown(document)}, not an object", "write `field: value` lines")
+        )
     return document, name, lines
 
 

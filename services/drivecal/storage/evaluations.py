@@ -83,13 +83,13 @@ def insert(connection: Connection, campaign_sequence: int, cells: Sequence[Reque
     return list(ids)
 
 
-def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int, int]:
-    """Stores answers; returns the starts of the simulator for their cells, and how many of these were lost.
+def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int, int, int]:
+    """Stores answers; returns the starts of the simulator for their cells, how many of these were lost, and the number of `shared` cells.
 
     An answered cell keeps its answer, so that late results change nothing, and loses its lease.
     """
     if not answers:
-        return 0, 0
+        return 0, 0, 0
     # of an earlier attempt too: another cell's run may be the answer
     ended = leases.end(connection, [answer.id for answer in answers])
     started = {answer.id: ended.get(answer.id, (0, 0))[0] - answer.unstarted for answer in answers}
@@ -103,7 +103,8 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int
         for answer in answers
     ]
     execute_rows(connection, statement, rows)
-    return sum(started.values()), sum(lost for _, lost in ended.values())
+    shared = sum(each.outcome is Outcome.SIMULATED and not started[each.id] for each in answers)
+    return sum(started.values()), sum(lost for _, lost in ended.values()), shared
 
 
 def store(connection: Connection, column: str, values: Mapping[int, Any]) -> None:
@@ -355,7 +356,7 @@ def shared(connection: Connection, campaign_sequence: int) -> int:
     """Returns how many simulated cells of a campaign's search took a run that another campaign shares."""
     cell, here = evaluations.c, evaluations.c.stage == StageName.CALIBRATION
     query = select(func.count()).where(cell.campaign_sequence == campaign_sequence, here, cell.outcome == Outcome.SIMULATED)
-    return connection.execute(query.where(cell.worker.is_(None))).scalar_one()
+    return connection.execute(query.where(cell.runs == 0)).scalar_one()
 
 
 def are_seeded(connection: Connection, campaign_sequence: int) -> bool:

@@ -1,7 +1,7 @@
 """Reads YAML that comes from outside by its 1.2 core schema: `no` and `on` are words, `1e-3` is a number, dates stay text.
 
 Duplicate keys, tags and aliases are refused: with aliases, a short file can expand without end. So are more values than JSON may have:
-PyYAML reads them slowly, and its fast reader in C offers no place to refuse anything before the whole document is read.
+PyYAML reads them slowly, and its reader in C offers no place to refuse them.
 """
 
 import math

@@ -70,7 +70,10 @@ def test_a_simulator_that_removes_its_folder_is_named_by_the_check(tmp_path: Pat
 
 def test_a_simulator_that_does_not_start_again_is_named_by_the_check(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Pipes, "is_fresh", lambda _: False)  # each run has a new child
-    assert "no licence" in (check(tmp_path, ONCE).error or "")
+    (folder := tmp_path / "elsewhere").mkdir()
+    monkeypatch.setenv("DRIVECAL_SIMULATOR_FOLDERS", str(folder))
+    once = ONCE.replace('"../taken"', repr(str(folder / "taken")))
+    assert "no licence" in (check(tmp_path, once).error or "")
 
 
 def test_an_evaluation_names_why_its_simulator_is_busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

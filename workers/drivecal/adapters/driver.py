@@ -37,12 +37,15 @@ def serve(prepare: Callable[[Mapping[str, Any]], Evaluate]) -> None:
     os.close(nothing)
     os.dup2(2, 1)
 
+    own = os.getpid()
+
     def say(answer: str) -> None:
+        if os.getpid() != own:
+            os._exit(0)  # a copy that the user's code has forked
         answers.write(answer.encode() + b"\n")
         answers.flush()
 
     evaluate: Evaluate | None = None
-    own = os.getpid()
     for line in requests:
         request = json.loads(line)
         if "quit" in request:
@@ -63,8 +66,6 @@ def serve(prepare: Callable[[Mapping[str, Any]], Evaluate]) -> None:
             raise
         except (Exception, SystemExit) as error:  # noqa: BLE001  # a user's code may raise any exception
             answer = json.dumps({"id": request["id"], "error": described(error)})
-        if os.getpid() != own:
-            break  # a copy that the user's code has forked
         say(answer)
     sys.stdout.flush()
     sys.stderr.flush()

@@ -162,7 +162,7 @@ class ProcessSession:
                 self._pipes.ask(self._greeting, start_limit(self._timeout), START_LIMIT + self._advice), "the answer"
             )
             answers.refuse_busy(answer)
-            if answer.get("error") is not None:
+            if answer.get("error") not in (None, False, ""):
                 kind = UnsuitableError if self._is_driver and answer.get("unsuitable") is True else UnavailableError
                 raise kind(f"the simulator is not ready: {self._scratch.shown(str(answer['error']))[:300]}")
             if answer.get("ready") is not True:

@@ -68,7 +68,7 @@ def answer(returned: object) -> Mapping[str, Any]:
         raise TypeError(f"the function returned {type(returned).__name__}, not a dict of measures")
     if isinstance(returned.get("failure"), str) or isinstance(returned.get("measures"), Mapping):
         whole = dict(returned)
-        numbers = {name: value for name, value in _plain(returned).items() if isinstance(value, (int, float))}
+        numbers = {name: value for name, value in _plain(returned).items() if type(value) in {int, float}}  # not bool
         whole["measures"] = numbers if whole.get("measures") is None else _plain(whole["measures"])
         if isinstance(whole.get("series"), Mapping):
             whole["series"] = {name: [_number(value) for value in values] for name, values in whole["series"].items()}
@@ -108,7 +108,7 @@ def _plain(measures: Mapping[str, Any]) -> dict[str, Any]:
 def _number(value: Any) -> Any:
     """Converts numbers of other libraries, e.g. of numpy; its truth values and complex numbers are none."""
     is_number = getattr(getattr(value, "dtype", None), "kind", "f") in "iuf" and hasattr(value, "__float__")
-    return float(value) if is_number and not isinstance(value, (int, float)) else value
+    return float(value) if is_number and not isinstance(value, int) else value
 
 
 if __name__ == "__main__":

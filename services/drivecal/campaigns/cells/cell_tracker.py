@@ -230,11 +230,10 @@ class CellTracker:
 
     def _store(self, connection: Connection, answers: Sequence[AnsweredCell]) -> None:
         """Stores answers, and counts the starts of the simulator for their cells."""
-        started, lost = evaluations.answer(connection, answers)
+        started, lost, shared = evaluations.answer(connection, answers)
         self._counts["runs"] += started
         self._counts["lost"] += lost
-        shared = sum(answer.outcome is Outcome.SIMULATED and answer.worker is None for answer in answers)  # started by others
-        self.budget.left -= started - lost + shared * self._view.isolated
+        self.budget.left -= started - lost + (shared if self._view.isolated else 0)
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:
         """Cells whose results come from a lease that is over. A result obtained for another cell has no lease of its own."""

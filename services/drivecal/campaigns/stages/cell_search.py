@@ -60,12 +60,10 @@ class CellSearch(ComputedSearch):
             last = generations.last(connection, campaign.sequence)
             self._answers.take_in(connection, campaign.sequence, range(self._closed))
             rounds = asked_rounds(connection, campaign.sequence, problem.scenarios)
-        state = {} if last is None else last.optimizer_state or {}
-        self._early = int(state.get("early", 0))
-        told = max(0, self._next - self.window + self._early)
-        self._asked = {number: asked for number, asked in enumerate(rounds) if number >= told}
+        self._told = 0 if last is None else (last.optimizer_state or {}).get("told", 0)
+        self._asked = {number: asked for number, asked in enumerate(rounds) if number >= self._told}
         if self._search.ended_by is None:
-            answers = [self._answers.for_search(number, rounds[number])[0] for number in range(told)]
+            answers = [self._answers.for_search(number, rounds[number])[0] for number in range(self._told)]
             asked = [cells_of(asked, problem.least_replicates) for asked in rounds]
             self._compute(partial(self._restored, asked, answers, last))
 
@@ -89,11 +87,13 @@ class CellSearch(ComputedSearch):
         asked = self._propose()
         if asked is None:
             return None if self._under_way else self._after_search()
-        asked.state["early"] = self._early
+        asked.state["told"] = self._told
         self._tracker.note_discarded(asked.state.get("discarded", 0))
-        number, cells = self._next - 1, self._cells(asked, range(len(asked.population)))
+        result = Round(
+            self._next - 1, self._cells(asked, range(len(asked.population))), self._problem.policy, before=self._told
+        )
         self._go_on()
-        return Round(number, cells, self._problem.policy, before=number - self.window + 1)
+        return result
 
     def _tell(self, asked: Round) -> None:
         if asked.number < self._next:

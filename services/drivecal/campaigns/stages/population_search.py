@@ -17,7 +17,7 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.cells.predicting import CHANGED, LotPlanner, slice_size
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.answers import PopulationAnswers
-from drivecal.campaigns.stages.asking import AskedRound, PopulationAsker, population_round
+from drivecal.campaigns.stages.asking import WINDOW, AskedRound, PopulationAsker, population_round, room_for
 from drivecal.campaigns.stages.search import ComputedSearch
 from drivecal.campaigns.stages.stage import Round, Wait
 from drivecal.contracts.campaign import Released
@@ -125,9 +125,11 @@ class PopulationSearch(ComputedSearch):
         if number:
             self._changed = float(len(changed))
         budget = self._optimization.budget
-        is_timed = budget is not None and budget.minutes is not None and not self._view.influence_map_sequence  # has lots
-        is_split = is_timed if self._planner is None else number == 0
-        size = slice_size(self._optimization.population) if is_split else len(asked.changed)
+        is_timed = budget is not None and budget.minutes is not None and not self._view.influence_map_sequence  # maps have lots
+        whole, under_way = len(asked.changed), WINDOW * room_for(self._view.workers)  # as of a search by the cell
+        timed = -(-under_way // len(self._problem.scenarios)) if is_timed else whole
+        learned = slice_size(self._optimization.population) if number == 0 else whole
+        size = timed if self._planner is None else learned
         return [list(members) for _, members in groupby(changed, lambda index: index // size)] or [[]]
 
     def _next_batch(self) -> Round:

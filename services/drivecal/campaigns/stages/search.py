@@ -304,7 +304,7 @@ class SearchStage(Stage):
 
 
 class ComputedSearch(SearchStage):
-    """A search that computes its rounds in a thread. Round n knows the answers of the rounds up to n - `window` + `_early`, no others."""
+    """A search that computes its rounds in a thread. Round n knows the answers of the rounds up to n - `window`, or more (`_is_empty`)."""
 
     window: ClassVar[int]
 
@@ -314,8 +314,10 @@ class ComputedSearch(SearchStage):
         """The search; None until it is created or restored."""
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
-        self._early = 0
-        """Number of rounds of the window whose answers the next round knows as well, as it had nothing to ask for without them."""
+        self._told = max(0, self._next - self.window)
+        """Number of rounds whose answers the search knows."""
+        self._is_empty = False
+        """The search has nothing to ask for before it knows more answers."""
         self._replication = Replication(problem, self._answers, self._benches)
 
     def _awaited(self) -> Wait | None:
@@ -323,25 +325,26 @@ class ComputedSearch(SearchStage):
         while (computed := self._computation) is not None:
             if not computed.is_done:
                 return "computation"
-            if computed.asks and (computed.result()[1] is not None or not self._next or self._early >= self.window - 1):
+            self._is_empty = computed.asks and computed.result()[1] is None and self._told < self._next
+            if computed.asks and not self._is_empty:
                 break
             (self._asker, _), self._computation = computed.result(), None
-            if computed.asks:
-                self._early = max(self._early + 1, self.window - self._next)
+            if self._is_empty:
                 self._go_on()
         return None
 
     def _compute(self, obtain: Callable[[], Asker]) -> None:
         """Begins to obtain the search, and to ask it for the next round if that may be asked for."""
-        number, oldest, known = self._next, self._next - self.window + self._early, None
-        asks = oldest < 0 or self._closed > oldest
-        if asks and (reason := self._end_before(number)) is not None:
-            self._end_search(reason)
-            return
+        known, tells = None, self._is_empty or self._told <= self._next - self.window
+        asks = not tells or self._closed > self._told
         if self._asker is not None and not asks:
             return
-        if asks and oldest >= 0:
-            known = self._answers.for_search(oldest, self._asked.pop(oldest))
+        if asks and tells:
+            known = self._answers.for_search(self._told, self._asked.pop(self._told))
+            self._told += 1
+        if asks and (reason := self._end_before(self._next)) is not None:
+            self._end_search(reason)
+            return
         self._computation = Computation(obtain, known, asks=asks)
 
     def _go_on(self) -> None:
@@ -357,7 +360,7 @@ class ComputedSearch(SearchStage):
         if number and self._is_spent:
             return "budget"
         stood_still = self._search.stood_still_at
-        return "stagnation" if stood_still is not None and stood_still <= number - self.window + 1 else None
+        return "stagnation" if stood_still is not None and stood_still <= self._told else None
 
     @property
     def _cells_left(self) -> float:

@@ -35,11 +35,10 @@ class RunBudget:
 
     def take(self, cell: int, *, beyond: float = 0.0) -> bool:
         """Takes a further run for a cell without an answer if more than `beyond` are left; returns whether there was one."""
-        affordable = cell in self.taken and self.left >= beyond + 1
-        if affordable:
-            self.left -= 1
-            self.taken[cell] += 1
-        return affordable
+        if cell not in self.taken or self.left < beyond + 1:
+            return False
+        self.left, self.taken[cell] = self.left - 1, self.taken[cell] + 1
+        return True
 
     def give_back(self, cell: int) -> None:
         """Gives all runs of a cell back: it has an answer, and its starts are counted."""

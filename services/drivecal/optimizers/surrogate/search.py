@@ -94,8 +94,8 @@ PENDING = 64
 """Most unanswered sets that the models count as known."""
 DORMANT = 64
 """Most sets with known answers from before that are looked at in detail."""
-VALUE_EVERY, VALUE_PROMISE, MOST_RARE = 5, 0.01, 4
-"""Each fifth set, at most, is begun for a value of a choice, with this promise; values that are tried until one is feasible."""
+VALUE_EVERY, VALUE_PROMISE = 5, 0.01
+"""Each fifth set, at most, is begun for a rare value of a choice, with this promise, which no other set has."""
 DESIGN, PROPOSAL, DRAWING, DIRECTION, NOISE = range(5)
 """Streams of random numbers."""
 
@@ -445,8 +445,8 @@ class SurrogateSearch:
         return [sets[place] for place in sorted(merit.best_first(merits.T)[:DORMANT].tolist())]
 
     def _rare_values(self) -> list[tuple[int, int, int]]:
-        """Returns choices, each with a rare value that the next sets are to have, and how many sets: as bandits try each arm, the logarithm
-        of all (Lai and Robbins 1985). After a few unlucky runs of a random simulator the models promise it no gain any more."""
+        """Returns choices, each with a rare value that the next sets are to have, and how many sets: the logarithm of all, as bandits try
+        each arm (Lai and Robbins 1985). After a few unlucky runs of a random simulator the models promise it no gain any more."""
         sets, choices = self._answers.sets, [place for place, kind in enumerate(self._task.kinds) if kind == "choice"]
         own = [begun.promise for begun in sets if begun.promise is not None or begun.whole]
         most = len(own) // VALUE_EVERY - own.count(VALUE_PROMISE)
@@ -455,9 +455,7 @@ class SurrogateSearch:
         rows, least = self._rows(sets), int(np.ceil(np.log2(len(sets) + 1)))
         counts = ((place, np.bincount(rows[:, place], minlength=self._task.n_values[place])) for place in choices)
         counted = [(count, place, value) for place, by_value in counts for value, count in enumerate(by_value.tolist())]
-        return [
-            (place, value, min(most, least - count)) for count, place, value in sorted(counted)[:MOST_RARE] if count < least
-        ]
+        return [(place, value, min(most, least - count)) for count, place, value in sorted(counted) if count < least]
 
     def _new(self, rows: Indices, generator: np.random.Generator, fixed: Sequence[int] = ()) -> Indices:
         """Returns the feasible ones of repaired rows that have not begun, each once; `fixed`: a parameter and the value that all have. Rows

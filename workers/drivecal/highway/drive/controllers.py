@@ -140,7 +140,7 @@ class ProgramController:
     def _stop(self) -> None:
         process, self._process = self._process, None
         if process is not None:
-            with suppress(ProcessLookupError):
+            with suppress(OSError):
                 os.killpg(process.pid, signal.SIGKILL)  # with its helpers
             process.wait()
             for pipe in (process.stdin, process.stdout):
