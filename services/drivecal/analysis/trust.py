@@ -391,12 +391,12 @@ def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
     if campaign.budget is None:
         return
     stored = campaign.cells.repeated if _has_outlook(campaign) else 0  # a search by the cell counts them
+    by = {"simulations": f" and {stored:,} stored answers"} if stored else {}
     used = [
-        f"{round(spent, 1 if limit >= 1 else 2):,} of {limit:,.12g} {unit}"
+        f"{round(spent, 1 if limit >= 1 else 2):,} of {limit:,.12g} {unit}{by.get(unit, '')}"
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
         if (limit := campaign.budget.get(unit)) is not None
     ]
-    used += [f"{stored:,} by stored answers"] if stored else []
     if used:
         yield verdict("budget", "neutral", used=", ".join(used))
 

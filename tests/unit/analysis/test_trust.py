@@ -310,7 +310,7 @@ def test_a_search_says_what_more_brings(course: list[float | None], used: int, g
     assert ("no_outlook" in by_code) == (used < 150)
     begun = subject.model_copy(update={"stages": {"calibration": CellCounts(requested=200, repeated=30, simulated=170)}})
     told = verdicts(begun, search=known.search)
-    assert ("outlook" in told, "30 by stored answers" in told["budget"].text) == (False, True), (
+    assert ("outlook" in told, "30 stored answers" in told["budget"].text) == (False, True), (
         "its first sets are the best stored ones"
     )
     assert (trust(subject, known).light("search"), by_code["ended"].light) == (light, "neutral")

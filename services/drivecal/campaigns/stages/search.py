@@ -314,10 +314,8 @@ class ComputedSearch(SearchStage):
         """The search; None until it is created or restored."""
         self._computation: Computation | None = None
         """The search's running computation; None if the next round needs none."""
-        self._told = max(0, self._next - self.window)
-        """Number of rounds whose answers the search knows."""
-        self._is_empty = False
-        """The search has nothing to ask for before it knows more answers."""
+        self._told, self._is_empty = max(0, self._next - self.window), False
+        """Number of rounds whose answers the search knows, and whether it has nothing to ask for before it knows more."""
         self._replication = Replication(problem, self._answers, self._benches)
 
     def _awaited(self) -> Wait | None:
