@@ -461,7 +461,7 @@ def random_task(cells: int = 110) -> SearchTask:
 
 @pytest.mark.slow
 def test_promising_sets_of_a_random_simulator_are_asked_again() -> None:
-    played = Played(random_task(), noisy, 2).play(begun(random_task()))
+    played = Played(random_task(), noisy, 2).play(begun(random_task(), 2))
     assert len(set(played.cells)) == len(played.cells) <= 110
     asked: dict[tuple[int, ...], list[int]] = {}
     for cell in played.cells:
@@ -474,9 +474,9 @@ def test_promising_sets_of_a_random_simulator_are_asked_again() -> None:
 
 @pytest.mark.slow
 def test_a_resumed_random_search_asks_for_the_same_cells() -> None:
-    whole = Played(random_task(100), noisy, 2).play(begun(random_task(100)))
+    whole = Played(random_task(100), noisy, 2).play(begun(random_task(100), 2))
     assert any(cell.replicate > 1 for cells in whole.rounds[:42] for cell in cells)
-    assert_same_after(42, whole)
+    assert_same_after(42, whole, 2)
 
 
 def test_a_search_of_variants_is_resumed_amid_a_partly_known_set() -> None:
