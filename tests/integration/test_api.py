@@ -46,6 +46,7 @@ def test_an_expected_time_holds_the_choice_of_cells(api: RunningApi, monkeypatch
     url = "/api/v1/campaigns?validate_only=true"
     seconds = [api.http.post(url, json={"optimizer": {"kind": kind}}).json()["seconds"] for kind in ("surrogate", "random")]
     assert seconds == [pytest.approx(600 * (0.001 + 0.02)), pytest.approx(37.92)]
+    assert api.http.post(url, json={"budget": {"minutes": 0.1}}).json()["seconds"] == pytest.approx(6.0)
 
 
 def test_an_etag_spares_what_has_not_changed(api: RunningApi) -> None:

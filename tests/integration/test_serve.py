@@ -31,6 +31,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server with tokens that logs all it can."""
     folder = tmp_path_factory.mktemp("serve")
     (folder / "tokens").write_text(f"writer write {TOKEN}\nreader read {READER}\n")
+    (folder / "libsumo.py").write_text("raise RuntimeError('a module of the working directory')")
     with serving(
         folder, DRIVECAL_TOKENS_FILE="tokens", DRIVECAL_TOKEN=MINE, DRIVECAL_LOG_FORMAT="json", DRIVECAL_LOG_LEVEL="debug"
     ) as started:

@@ -1,7 +1,9 @@
 """SUMO and the closed loop with a planner made for these tests."""
 
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +15,8 @@ import pytest
 from tests.support.roads import to_cartesian
 from tests.support.values import faults_of, present
 
+from drivecal.adapters import environment
+from drivecal.adapters.environment import locked_folder, sessions
 from drivecal.bundles.highway import Scenario, TrafficVehicle
 from drivecal.campaigns.resolve.problem import resolve
 from drivecal.contracts.specification import CampaignSpecification
@@ -363,3 +367,17 @@ def test_all_vehicles_are_where_sumo_has_them(scenario: Scenario) -> None:
 
     subject._loop.run(changes_lane(scenario), watch=compare)
     assert steps > 20, "the drive ended too early to compare"
+
+
+def test_the_folder_of_a_drive_is_locked_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(environment, "A_MOMENT", -1.0)
+    drive = runner(S1)
+    (folder,) = sessions().iterdir()
+    (killed, lock) = locked_folder()
+    os.close(lock)
+    other = runner(S1)
+    assert (folder.exists(), killed.exists()) == (True, False)
+    assert drive.run(changes_lane(S1)) == other.run(changes_lane(S1))
+    del drive
+    assert not folder.exists()

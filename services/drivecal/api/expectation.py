@@ -1,5 +1,6 @@
 """Checks of requests, and what they are expected to cost, without a change of the database."""
 
+import math
 import sys
 from collections.abc import Callable
 from contextlib import suppress
@@ -70,8 +71,11 @@ def expected(database: Database, limits: Limits, specification: CampaignSpecific
     # nothing is known of a simulator that never ran
     guessed = not known.measured and not problem.bench.bundle.manifest.has_planner
     each, seconds, chosen = known.milliseconds, known.seconds, problem.optimization
-    if seconds is not None and chosen is not None and chosen.plugin.name == "surrogate":
-        seconds += runs.calibration_at_most * CELL_MILLISECONDS / 1000
+    if seconds is not None and chosen is not None:
+        search = seconds * runs.calibration_at_most / max(1, at_most)
+        choice = CELL_MILLISECONDS / 1000 * runs.calibration_at_most if chosen.plugin.name == "surrogate" else 0.0
+        minutes = math.inf if chosen.budget is None or chosen.budget.minutes is None else chosen.budget.minutes
+        seconds += min(search + choice, 60.0 * minutes) - search
     time = {} if guessed else {"milliseconds": each, "measured": known.measured, "seconds": seconds}
     notes = [*warnings, *runs.notes, *(advice(problem, runs.calibration_at_most, each) if known.measured and each else [])]
     return runs.model_copy(update={"notes": notes, "workers": known.workers, **time})

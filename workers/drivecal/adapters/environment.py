@@ -47,14 +47,7 @@ class Scratch:
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self.bundle = bundle.resolve()
-        parent = sessions()
-        for folder in parent.glob(f"{LOCKED}*"):
-            _remove_if_left_behind(folder)
-        self.folder = Path(tempfile.mkdtemp(prefix=LOCKED, dir=parent))
-        self.lock = os.open(self.folder, os.O_RDONLY)
-        """Its lock holds for as long as this process or a keeper lives."""
-        with suppress(OSError):  # a disk without locks: its folders stay
-            fcntl.flock(self.lock, fcntl.LOCK_SH)
+        self.folder, self.lock = locked_folder()
         self.work, self.home = self.folder / "work", self.folder / "home"
         self.is_spoilt = False
         """A process may live that nothing ends, and put links where the worker writes."""
@@ -117,10 +110,28 @@ class Scratch:
 
     def remove(self) -> None:
         """Removes the folder. Idempotent."""
-        remove(self.folder)
         if self.lock >= 0:
-            os.close(self.lock)
+            let_go(self.folder, self.lock)
             self.lock = -1
+
+
+def locked_folder() -> tuple[Path, int]:
+    """Returns a new folder among the user's sessions, and a descriptor: its lock holds while this process or a child with it lives. The
+    folders of killed processes are removed. Raises UnavailableError if another user could change them."""
+    parent = sessions()
+    for folder in parent.glob(f"{LOCKED}*"):
+        _remove_if_left_behind(folder)
+    created = Path(tempfile.mkdtemp(prefix=LOCKED, dir=parent))
+    lock = os.open(created, os.O_RDONLY)
+    with suppress(OSError):  # a disk without locks: its folders stay
+        fcntl.flock(lock, fcntl.LOCK_SH)
+    return created, lock
+
+
+def let_go(folder: Path, lock: int) -> None:
+    """Removes a locked folder."""
+    remove(folder)
+    os.close(lock)
 
 
 def sessions() -> Path:

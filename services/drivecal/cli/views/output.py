@@ -194,7 +194,7 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
     if best.lower is not None or best.upper is not None:
         what = aggregate if isinstance(aggregate, str) else f"quantile {aggregate['quantile']:g}"
         ends = " to ".join("unknown" if end is None else score_text(end) for end in (best.lower, best.upper))
-        yield f"objective {ends} ({what} over those of its {best.replicates} seeds that report it); {best.close} other sets may be as good"
+        yield f"objective {ends} ({what} over the seeds that report it, of {best.replicates}); sets that may be as good: {best.close}"
     if best.failure_interval is not None:
         lower, upper = best.failure_interval
         yield f"{best.failures} of all its runs failed; by those that report it, {percent(lower, 1)} to {percent(upper, 1)} fail (95 %)"

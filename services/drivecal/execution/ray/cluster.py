@@ -181,6 +181,8 @@ class Cluster:
         import ray  # reads its environment at import
 
         self.ray: ModuleType = ray
+        # a client's working directory, here a user's folder, is no place that workers import modules from
+        job: dict[str, Any] = {**_QUIET, "job_config": ray.job_config.JobConfig(_client_job=True)}
         if address is not None:
             self._join(address)
         try:
@@ -193,10 +195,10 @@ class Cluster:
                             include_dashboard=False,
                             object_store_memory=OBJECT_STORE_BYTES,
                             _temp_dir=str(self._folder.path),
-                            **_QUIET,
+                            **job,
                         )
                 else:
-                    ray.init(address=address, **_QUIET)
+                    ray.init(address=address, **job)
         except Exception as error:
             self.close()
             reason = " ".join(str(error).split()) or type(error).__name__

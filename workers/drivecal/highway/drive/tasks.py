@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import isfinite
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 
+from drivecal.adapters.environment import let_go, locked_folder
 from drivecal.bundles.highway import FARTHEST, HighwayScenario, Scenario, TrafficVehicle
 from drivecal.contracts.evaluation import ReplayPlan
 from drivecal.domain.evaluations import Failure
@@ -125,18 +125,18 @@ class TaskRunner:
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         """Names of the driving function's parameters in the order of `run`."""
         self._function, self._vehicle, self._evaluator = driving_function, vehicle, evaluator
-        self._folder = TemporaryDirectory()
-        (Path(self._folder.name) / NETWORK).write_bytes(scenario.network)
+        self._folder, lock = locked_folder()
+        finalize(self, let_go, self._folder, lock)
+        (self._folder / NETWORK).write_bytes(scenario.network)
         self._road = road_of(scenario)
         self._prepare(scenario)
 
     def _prepare(self, scenario: Scenario) -> None:
         """Prepares the runs under the scenario's seed, which other vehicles and the planner may depend on."""
         self._given, self._scenario = scenario, drawn(scenario)
-        folder = Path(self._folder.name)
         drifts = {other.id: drift_offsets(other, scenario) for other in scenario.traffic if other.drift}
         vehicles = described(self._scenario)
-        traffic = Traffic(scenario.id, vehicles, folder / NETWORK, self._road, scenario.step, folder, drifts=drifts)
+        traffic = Traffic(scenario.id, vehicles, self._folder / NETWORK, self._road, scenario.step, self._folder, drifts=drifts)
         control = PlannerControl(self._function.create(self._scenario))
         self._loop = Loop(traffic, self._vehicle, control, verge=0.0, heading=scenario.ego.heading)
 
