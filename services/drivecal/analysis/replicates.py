@@ -168,8 +168,10 @@ class SetStatistics:
             samples, failed, level = self.failing
             others = np.where(failed, np.nan, samples)
             sound = np.flatnonzero(np.isfinite(others).any(axis=1))
-            if level is not None or not len(sound) or not (known := assess(others[sound])).is_known:
+            if level is not None:
                 return np.full(len(samples), np.nan)
+            if not len(sound) or not (known := assess(others[sound])).is_known:  # failures are noise like all else then
+                return replace(self, failing=None).probabilities()
             failures, lost = failed[sound].sum(axis=1), float(samples[failed].mean())
         listed = np.argsort(-(known.means + 2 * known.errors), kind="stable")[:LISTED]
         means, counts, failures = known.means[listed], known.counts[listed], failures[listed]

@@ -22,9 +22,9 @@ export function haveLikeScores(campaigns: readonly Scored[]): boolean {
   return formulas.size < 2 && new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
 }
 
-/** Searches by what their objectives are: other names, units or directions, or of scores other formulas, need another axis. */
-export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective"> }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
-  const groups = Map.groupBy(searches, ({ of }) => JSON.stringify(measureOf(of)));
+/** Searches by what their objectives are: other names, units or directions, or of scores other formulas or weights, need another axis. */
+export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective">; weights?: string }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
+  const groups = Map.groupBy(searches, ({ of, weights }) => JSON.stringify({ ...measureOf(of), weights: of.objective ? undefined : weights }));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }
 
@@ -39,11 +39,11 @@ export function placesOf(generations: readonly Generation[], over: Over): number
   return generations.map(({ iteration, requested, repeated, reused, predicted }) => (over === "iteration" ? iteration + 1 : (taken += requested - repeated - reused - predicted)));
 }
 
-/** Best and mean objective over the simulations so far, with what is best now: after a round, and in the midst of one. */
-export function courseOf({ best, cells }: Pick<Campaign, "best" | "cells">, generations: readonly Generation[]): (Pick<Generation, "best" | "mean"> & { at: number })[] {
-  const places = placesOf(generations, "simulations");
+/** Best and mean objective over the simulations so far, or the iterations, with what is best now: after a round, and in the midst of one. */
+export function courseOf({ best, cells }: Pick<Campaign, "best" | "cells">, generations: readonly Generation[], over: Over = "simulations"): (Pick<Generation, "best" | "mean"> & { at: number })[] {
+  const places = placesOf(generations, over);
   const course = generations.map((generation, place) => ({ best: generation.best, mean: generation.mean, at: places[place] ?? 0 })).filter((point) => point.best !== null);
-  return best === null ? course : [...course, { best: best.objective, mean: null, at: cells.simulated + cells.failed }];
+  return best === null ? course : [...course, { best: best.objective, mean: null, at: over === "iteration" ? (places.at(-1) ?? 0) : cells.simulated + cells.failed }];
 }
 
 /** Pixels between the outermost of lines that would lie on each other. */

@@ -23,6 +23,7 @@ export interface SetSide {
   answers?: Readonly<Record<string, string>> | undefined;
   /** Scores of the set that it is compared with, under the seeds of its own. */
   beside?: Readonly<Record<string, number | null>>;
+  best_objective?: number | null;
   /** Seeds of the runs that make its scores, if there are several. */
   seeds?: readonly number[];
   /** The number of its evaluation in a scenario; null if there is none. */
@@ -67,9 +68,9 @@ async function baselineCell(campaign: string, parameters: Values, scenario: stri
 }
 
 /** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one. */
-export function baselineSide({ id, baseline }: Pick<Campaign, "id" | "baseline">, ofBest: boolean): SetSide | null {
+export function baselineSide({ id, best, baseline }: Pick<Campaign, "id" | "best" | "baseline">, ofBest: boolean): SetSide | null {
   if (!baseline) return null;
-  const known = ofBest && typeof baseline.best_objective === "number" ? `under seeds ${baseline.seeds.join(", ")}, under which the best set has ${number(baseline.best_objective, 4)}` : "";
+  const known = ofBest && typeof baseline.best_objective === "number" ? `all scores are means over seeds ${baseline.seeds.join(", ")}; the reported objective of the best set is ${number(best?.objective, 4)}` : "";
   return { ...baseline, ...(known && { known, beside: baseline.best_scores }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
 }
 

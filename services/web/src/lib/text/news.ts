@@ -80,7 +80,8 @@ export function needsOf(known: readonly Campaign[], since: number, trust: Readon
     if (!calibrates(campaign)) return [];
     if (!best) return [{ campaign, kind: "nothing feasible", why: "No set has a result in every scenario.", title: "See the log", path: ["campaigns", id, "overview"], query: { at: "log" } }];
     if (best.violation > 0 && !best.undecided) return [{ campaign, kind: "nothing feasible", why: `${(best.replicates ?? 1) > 1 ? "By its runs, the best set breaks the constraints" : "No set keeps all constraints; the best one breaks them"} by ${percent(best.violation)}.`, title: "Change the constraints", ...again }];
-    const doubt = trust[id]?.verdicts.find(({ light }) => light === "red" || light === "amber");
+    const doubts = trust[id]?.verdicts.filter(({ light }) => light === "red" || light === "amber") ?? [];
+    const doubt = doubts.find(({ light }) => light === "red") ?? doubts.find(({ question }) => question !== "search") ?? doubts[0];
     if (!doubt) return [];
     const on = { ...again, query: { from: id, start: JSON.stringify([best.parameters]) } };
     if (doubt.code === "at_ends" && (doubt.numbers["entries"] as unknown[]).length > 0) return [{ campaign, kind: "not finished", why: doubt.text, title: "Push it with a wider range", path: ["problems"] }];
