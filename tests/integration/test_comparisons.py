@@ -88,7 +88,12 @@ def test_a_shared_cell_counts_in_the_budget_of_each(database: Database) -> None:
 def test_unconfirmed_campaigns_have_the_best_they_simulated(database: Database, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(comparison, "CONFIRMED", 0)
     stored_map = post_map(database, nothing_matters() | {"S1": {"P1": {"influential": True}}})
-    given: dict[str, Any] = {"optimizers": [{"kind": "genetic"}], "populations": [9], "reductions": [WITHOUT_LOTS]}
+    given: dict[str, Any] = {
+        "optimizers": [{"kind": "genetic"}],
+        "populations": [9],
+        "reductions": [WITHOUT_LOTS],
+        "start": "halton",
+    }
     runs = finish_comparison(database, submit_comparison(database, stored_map, **given)).runs
     assert [run.confirmations for run in runs] == [0, 0, 0]
     assert any(run.best != run.simulated_best for run in runs)

@@ -33,10 +33,11 @@ def start(starting: Callable[[], object]) -> None:
             return
 
 
-def create_database(server: str, name: str) -> str:
+def create_database(server: str, name: str, encoding: str = "UTF8") -> str:
     """Creates an empty database and returns its URL. `server`: the URL of the server's administration database."""
     with psycopg.connect(server, autocommit=True) as connection:
-        connection.execute(sql.SQL("CREATE DATABASE {}").format(sql.Identifier(name)))
+        options = sql.SQL("ENCODING {} LC_COLLATE 'C' LC_CTYPE 'C' TEMPLATE template0").format(sql.Literal(encoding))
+        connection.execute(sql.SQL("CREATE DATABASE {} {}").format(sql.Identifier(name), options))
     return make_url(server).set(database=name).render_as_string(hide_password=False)
 
 

@@ -45,6 +45,8 @@ class Course:
     """Best objective of a set whose scores are all its own."""
     confirmations: int = 0
     """Simulations after the search that confirm its best set."""
+    is_random: bool = False
+    """During the search the best objective is luck; only the reported objective counts."""
 
     @property
     def best(self) -> list[float | None]:
@@ -61,6 +63,8 @@ class Course:
         """The best objective of the whole run whose scores were simulated; None before any result. Scores of references do not count here:
         they may be wrong, and a search prefers sets with an error upwards. For a confirmed run, this is the objective of the first set of
         its ranking; for others, it is a lower bound."""
+        if self.is_random:
+            return self.surest
         believed = self.iterations[-1].best if self.iterations else None
         is_surest = self.surest is not None and same(self.surest, believed)
         return believed if is_surest or not any(each.reused or each.predicted for each in self.iterations) else self.surest
@@ -71,7 +75,10 @@ class Course:
         return sum(self.simulations) + self.confirmations
 
     def best_after(self, simulations: int) -> float | None:
-        """Returns the best objective that the search had believed in after a number of simulations; None before the first."""
+        """Returns the best objective that the search had believed in after a number of simulations; None before the first, and of random
+        simulators."""
+        if self.is_random:
+            return None
         taken = accumulate(self.simulations)
         return next((best for used, best in reversed(list(zip(taken, self.best, strict=True))) if used <= simulations), None)
 
@@ -109,8 +116,13 @@ def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
 
 
 def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
-    """Returns whether a run found an optimum as good as `best`."""
-    return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -grain(best)
+    """Returns whether a run is known to have found an optimum as good as `best`."""
+    return (
+        best is not None
+        and not course.is_random
+        and course.optimum is not None
+        and sign * (course.optimum - best) >= -grain(best)
+    )
 
 
 def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
@@ -152,7 +164,7 @@ def _group(
         converged=len(converged),
         iterations_to_converge=_mean([course.converged_at or 0 for course in converged]),
         simulations_to_converge=_mean([course.simulations_to_converge or 0 for course in converged]),
-        successes=sum(succeeds(member, best, sign) for member in members),
+        successes=None if any(run.is_random for run in begun) else sum(succeeds(member, best, sign) for member in members),
         after={mark: _mean([value for run in begun if (value := run.best_after(mark)) is not None]) for mark in marks},
     )
 

@@ -356,6 +356,20 @@ class Goals:
         tolerances = np.array([goal.tolerance for goal in self.objectives], dtype=np.float64)
         return np.maximum(tolerances, grains(points, others, np.array([goal.span for goal in self.objectives])))
 
+    def alike(self, points: Floats) -> Sequence[Sequence[int]]:
+        """Groups points, signed objectives of sets, whose differences from the group's first point do not count."""
+        groups: list[list[int]] = []
+        firsts = np.empty_like(points)
+        for place, point in enumerate(points):
+            known = firsts[: len(groups)]
+            equal = np.flatnonzero((np.abs(known - point) <= self.slacks(known, point)).all(axis=1))
+            if equal.size:
+                groups[int(equal[0])].append(place)
+            else:
+                firsts[len(groups)] = point
+                groups.append([place])
+        return groups
+
     def leading(self, points: Floats, violations: Floats) -> Mask:
         """Returns which sets no other set dominates, shape (n,), by signed objectives, shape (n, m), and sums of violations, shape (n,).
 

@@ -14,6 +14,8 @@ MOST_SETS = 2_000
 HELD_OUT = 1 / 3
 TREES = 100
 REPEATS = 5
+UNEXPLAINED = 1 / 8
+"""Share of what the forest does not predict that counts to the upper end of each importance: it may be an effect of that parameter."""
 RESAMPLED = 1_000
 """Bootstrap samples behind an interval."""
 
@@ -22,8 +24,9 @@ RESAMPLED = 1_000
 class Importances:
     """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: the total effect of an independent parameter
     as a share of their variation (Jansen 1999), where the forest predicts them. `mean` and `deviation`, shape (n_parameters,), are over the
-    repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets. `r2` is R² without shuffling: 1 if the forest
-    predicts the held-out sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
+    repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets; `upper` holds
+    UNEXPLAINED as well. `r2` is R² without shuffling: 1 if the forest predicts the held-out sets exactly, 0 if no better than their mean.
+    `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
     deviation: Floats
@@ -58,7 +61,9 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = (undisturbed - _r2(predicted, values[judged])) / 2
         added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
-    lower, upper = np.minimum(_interval(added, values[judged], generator), 1.0)  # no share is more than all
+    lower, upper = _interval(added, values[judged], generator)
+    upper += UNEXPLAINED * (1.0 - max(undisturbed, 0.0))
+    lower, upper = np.minimum((lower, upper), 1.0)  # no share is more than all
     return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
 
 

@@ -18,7 +18,6 @@ from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import levels, same
-from drivecal.plugins.ports import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +90,8 @@ class EvaluatedSet:
 UNCOMPARED: dict[str, Any] = dict.fromkeys(("standard_error", "lower", "upper", "probability_best", "runs_to_tell", "bound"))
 UNCOMPARED["is_close"] = False
 """Fields that a comparison with other sets fills in, with their values before it."""
+UNUSUAL = 3.0
+"""Variance of the differences of two sets, as a multiple of what the noise of all sets makes likely, from which on it counts alone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,6 +389,7 @@ class Ranking:
         self._known = known
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
+        self._compare_undecided(known.best(confidence) if known.is_known else None, numbers)
         for place, number in enumerate(numbers):
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             if len(fresh) > 1:
@@ -422,6 +424,16 @@ class Ranking:
                 runs_to_tell=replicates.to_tell(known, leader, place, confidence) if close else None,
                 bound=solution.sign * float(bounds[place]),
             )
+
+    def _compare_undecided(self, leader: int | None, numbers: Sequence[int]) -> None:
+        """Notes sets close to the leader that may still show that they keep their rates."""
+        undecided = self.statistics(seeds=1_000_000) if leader is not None else None
+        if undecided is None or leader is None or numbers[leader] not in undecided[0]:
+            return
+        ahead = undecided[1].ahead(undecided[0].index(numbers[leader]))
+        for number in (each for each, share in zip(undecided[0], ahead, strict=True) if share > 1 - self._wanted.confidence):
+            if number not in numbers:
+                self._solutions[number] = replace(self._solutions[number], is_close=True)
 
     def best_first(self) -> list[EvaluatedSet]:
         """All solutions, best first."""
@@ -511,27 +523,13 @@ class Ranking:
         else:
             kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place]))
-        alike = [[judged[ordered[place]] for place in group] for group in self._alike(points[ordered])]
+        alike = [[judged[ordered[place]] for place in group] for group in self._goals.alike(points[ordered])]
         members = [
             FrontMember(first.choice, frozenset(each.parameter_set for each in sets), self._answers[first.parameter_set])
             for sets in alike
             for first in [min(sets, key=lambda each: bool(each.reused))]
         ]
         return sorted(members, key=lambda member: self.order(member.solution))
-
-    def _alike(self, points: Floats) -> Sequence[Sequence[int]]:
-        """Groups points that differ from the group's first point only by amounts that do not count."""
-        groups: list[list[int]] = []
-        firsts = np.empty_like(points)
-        for place, point in enumerate(points):
-            known = firsts[: len(groups)]
-            equal = np.flatnonzero((np.abs(known - point) <= self._goals.slacks(known, point)).all(axis=1))
-            if equal.size:
-                groups[int(equal[0])].append(place)
-            else:
-                firsts[len(groups)] = point
-                groups.append([place])
-        return groups
 
     def get(self, parameter_set: int) -> EvaluatedSet | None:
         """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
@@ -553,13 +551,15 @@ class Ranking:
         if len(gains) < 2 or self._level is not None:
             is_single = random and len(other) < 2 and (known is None or known.is_random or not known.is_known)
             return None, solution.is_close or is_single
-        noise, freedom, usual = 0.0, 0.0, None
+        noise, freedom, usual, own = 0.0, 0.0, None, float(np.var(gains, ddof=1))
         if known is not None:  # failures of other sets say nothing of runs that did not fail
             failed = any(cell.failed for number in numbers for seed in shared for cell in self._runs[number][seed].values())
             sound = None if failed else known.sound_noise
             usual = known.noise if sound is None else sound
         if known is not None and usual is not None:
             noise, freedom = 2 * usual**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
+        if own > UNUSUAL * noise:  # one of the two is noisier than others, which say nothing of it then
+            noise, freedom = 0.0, 0.0
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
         return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
 

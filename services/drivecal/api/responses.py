@@ -213,9 +213,9 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def _interval(values: Sequence[float | None]) -> dict[str, float | None]:
-    """Returns the standard error of a mean and its 95 % interval; empty if a value is missing, and for a single one."""
+    """Returns the standard error of a mean and its 95 % interval; empty if a value is missing, and for equal ones: they tell no noise."""
     known = [value for value in values if value is not None]
-    if len(known) < max(2, len(values)):
+    if len(set(known)) < 2 or len(known) < len(values):
         return {}
     lower, upper = replicates.interval(known, None, 0.95)
     return {"standard_error": (replicates.variance(known, 0.0, 0.0) / len(known)) ** 0.5, "lower": lower, "upper": upper}

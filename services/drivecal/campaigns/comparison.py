@@ -239,6 +239,7 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         iterations=iterations,
         surest=None if campaign.search is None else campaign.search.surest,
         confirmations=analysis.needed(campaign.cells) - sum(map(analysis.needed, iterations)) if searched else 0,
+        is_random=campaign.best is not None and campaign.best.standard_error is not None,
     )
 
 

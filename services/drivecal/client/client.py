@@ -302,9 +302,12 @@ class Client(Transport):
         while True:
             response = self._request("GET", place, query={"limit": 1000, **query, "cursor": cursor})
             raise_for(response, *named(place))
-            page = json.loads(harmless(response.content))
-            yield from page["items"]
-            cursor = page["next_cursor"]
+            try:
+                page = json.loads(harmless(response.content))
+                items, cursor = page["items"], page["next_cursor"]
+            except (ValueError, TypeError, KeyError) as error:
+                raise self._strange() from error
+            yield from items
             if cursor is None:
                 return
 
@@ -549,6 +552,7 @@ class Client(Transport):
         query = {"format": "dcm" if base is not None and form == "csv" else form, **chosen_by, "label": listed or None}
         response = self._request("GET", place, query=query)
         raise_for(response, *named(place))
+        self._refuse_page(response)
         if base is None:
             return response.content
         from drivecal.calibration_data import files  # half of a start of the command line, which few commands need

@@ -38,7 +38,7 @@ def query_of(given: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the parameters of a query that have a value; weights are written `S1=2,S2=1`."""
     known = {name: value for name, value in given.items() if value is not None}
     weights = {name: value.items() for name, value in known.items() if isinstance(value, Mapping)}
-    return known | {name: ",".join(f"{each}={weight:.12g}" for each, weight in pairs) for name, pairs in weights.items()}
+    return known | {name: ",".join(f"{each}={float(weight)!r}" for each, weight in pairs) for name, pairs in weights.items()}
 
 
 def in_pieces(items: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Mapping[str, Any]]]:

@@ -276,12 +276,19 @@ class Transport:
                     asked = None if response.status_code == HTTPStatus.GATEWAY_TIMEOUT else _pause(response)
                     if asked is None or waited + asked > PATIENCE_SECONDS:
                         raise_for(response, kind, identifier)
+                        if "format" in query:  # a report is a page
+                            self._refuse_page(response)
                         yield from response.iter_bytes()
                         return
             except httpx.RequestError as error:
                 raise unreachable(self.url, error) from error
             time.sleep(asked)
             waited += asked
+
+    def _refuse_page(self, response: httpx.Response) -> None:
+        """Raises UnavailableError for a page in the place of a file: a proxy may ask for a password."""
+        if "html" in response.headers.get("content-type", ""):
+            raise self._strange()
 
     def _answer(self, response: httpx.Response, model: type[Answer], place: Sequence[str]) -> Answer:
         raise_for(response, *named(place))

@@ -21,9 +21,9 @@ PORT = 6379
 
 QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    # The backend reports these deaths in one line; Ray would print a paragraph.
+    # The backend reports such deaths in one line; Ray would print a paragraph.
     "RAY_DEDUP_LOGS": "1",
-    "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed|Raylet is terminated",
+    "RAY_DEDUP_LOGS_SKIP_REGEX": "A worker died or was killed|Raylet is terminated|has been marked dead",
     # Bookkeeping for the dashboard, which does not run, takes a fifth of a call's CPU time.
     "RAY_task_events_report_interval_ms": "0",
     "RAY_enable_metrics_collection": "0",
@@ -43,6 +43,8 @@ ALERT = {
     "RAY_health_check_period_ms": "1000",
     "RAY_health_check_timeout_ms": "1000",
     "RAY_health_check_failure_threshold": "3",
+    # A node that is told to end does so: drivecal's workers never become idle, for which Ray would wait 30 s.
+    "RAY_GRACEFUL_SHUTDOWN_DRAIN_TIMEOUT_S": "0",
     # A node exits if its head does not come back; its restart policy lets it join the next head.
     "RAY_gcs_rpc_server_reconnect_timeout_s": "30",
 }

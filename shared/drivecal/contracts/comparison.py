@@ -50,7 +50,7 @@ class ComparisonSpecification(ProblemSpecification):
     iterations: Annotated[int, Field(ge=1, le=LARGEST_ITERATIONS)] = 80
     budget: BudgetSpecification | None = None
     """The end of every search, in the place of `iterations`."""
-    start: Literal["lhs", "halton"] = "halton"
+    start: Literal["lhs", "halton"] = "lhs"
     reductions: Annotated[list[AnyReduction], Field(min_length=1, max_length=20, json_schema_extra=UNIQUE)] = Field(
         default_factory=lambda: EXACT_ALONE
     )
@@ -112,7 +112,8 @@ class ComparedRun(Answer):
     """The best objective of a set whose every score was simulated for itself. If references answer cells, a search prefers sets whose
     scores are too good: `best` is what it believed, this is what it has. A campaign with `reduction.confirm` has its best set simulated
     after the search, and the next one if it falls: then this is the objective of the first set of the final ranking. Otherwise, before
-    its end, or if a note says that the best set is not confirmed, it is a lower bound. Groups and successes use this value."""
+    its end, or if a note says that the best set is not confirmed, it is a lower bound. Of a random simulator it is the reported objective,
+    and `best` that of lucky runs. Groups and successes use this value."""
     rating: float | None
     """The weighted continuous rating of the best set, which separates optima of the same objective; as the search believed, as are
     `alternatives` and `mean`."""
@@ -149,7 +150,8 @@ class ComparedGroup(Answer):
     converged: int
     iterations_to_converge: float | None
     simulations_to_converge: float | None
-    successes: int
+    successes: int | None
+    """Campaigns whose best set is as good as the best of all; null of random simulators."""
     after: dict[int, float | None] = Field(default_factory=dict)
     """Mean of the best objectives after a quarter, a half and all of the simulations that every compared campaign has made."""
 

@@ -14,6 +14,7 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import Connection, Pool, event, text
 from tests.support.databases import leave_it_to_the_system
+from tests.support.postgres import create_database
 from tests.support.storage import PROCESSES, campaign
 
 from drivecal.domain.errors import DatabaseError, UnavailableError
@@ -272,3 +273,9 @@ def test_sqlite_waits_for_the_disk_at_every_commit(migrated_sqlite: Path) -> Non
 def test_rows_cannot_point_to_rows_that_are_not_there(database: Database) -> None:
     with pytest.raises(Exception, match=r"(?i)foreign key"), database.transaction() as connection:
         connection.execute(text("INSERT INTO ratings (run_id, evaluator, score, rating) VALUES (1, 'reference 1', 1, 1.0)"))
+
+
+@pytest.mark.parametrize("encoding", ["LATIN1", "SQL_ASCII"])
+def test_a_database_that_lacks_characters_is_refused(postgres_server: str, encoding: str) -> None:
+    with pytest.raises(DatabaseError, match=encoding):
+        Database.open(create_database(postgres_server, f"in_{encoding.lower()}", encoding)).upgrade()

@@ -12,9 +12,10 @@ from tests.support.storage import EVALUATOR, new_run, sample_set_ids, setup_id
 
 from drivecal.api.live.worker_time import RecentWork
 from drivecal.domain.evaluations import Donor, Rating
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage.engine import tables
 from drivecal.storage.engine.database import Database
-from drivecal.storage.references import metrics, ratings, runs, setups
+from drivecal.storage.references import metrics, parameter_sets, ratings, runs, setups
 from drivecal.storage.references.runs import NewRun, StoredRun
 
 
@@ -171,3 +172,13 @@ def test_names_that_a_transaction_took_back_are_stored_by_the_next(database: Dat
     with database.transaction() as connection:
         metrics.pack(connection, [NUMBERS])
         assert connection.scalars(select(tables.metric_names.c.names)).all() == [list(NUMBERS)]
+
+
+def test_sets_are_chosen_by_names_that_differ_in_case_alone(connection: Connection) -> None:
+    setup = setup_id(connection)
+    numbers = parameter_sets.ensure(
+        connection, [ParameterSet.from_json('{"gain": 0.5}'), ParameterSet.from_json('{"gain": 0.5, "Gain": 1}')]
+    )
+    runs.insert_results(connection, [new_run(setup, number) for number in numbers])
+    chosen = list(runs.in_order_of_keys(connection, setup, EVALUATOR, 10**9, ["gain"], ["Gain"]))
+    assert [set(run.parameters.floats) for run in chosen] == [{"gain"}]

@@ -124,3 +124,10 @@ def test_alternatives_of_another_best_objective_are_others() -> None:
     assert alternatives_at([5.0 + place / 6 for place in range(8)], [1] * 8) is None
     assert alternatives_at([5.0] + [6.0] * 7, [1] * 8) == 2
     assert alternatives_at([None] * 8, [0] * 8) is None
+
+
+def test_random_campaigns_are_compared_by_what_they_report() -> None:
+    lucky = [replace(course([9.0, 9.5], seed=seed), surest=6.0 + seed, is_random=True) for seed in (1, 2)]
+    (group,) = groups(lucky)
+    assert (group.best, group.minimum, group.successes) == (8.0, 7.0, None)
+    assert set(group.after.values()) == {None}

@@ -54,3 +54,11 @@ def test_of_many_sets_an_even_sample_is_used(monkeypatch: pytest.MonkeyPatch) ->
     features = np.linspace(0, 1, 400)[:, np.newaxis]
     result = present(importances(features, features[:, 0]))
     assert (result.sets, result.held_out) == (90, 30)
+
+
+def test_an_effect_that_the_forest_does_not_see_is_not_excluded() -> None:
+    generator = np.random.default_rng(5)
+    features = generator.uniform(size=(150, 8))
+    result = present(importances(features, generator.normal(size=150)))
+    assert result.r2 < 0.3
+    assert result.upper.min() > 0.08

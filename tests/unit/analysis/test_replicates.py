@@ -170,8 +170,8 @@ def test_a_rare_failure_is_no_noise_of_sets_that_do_not_fail() -> None:
         ranking.add([one_run(place, seed + 1, x, failed=x == -15)])
     chances = [getattr(ranking.get(place), "probability_best", 0.0) for place in range(4)]
     assert chances[1] > 0.6 > 0.3 > chances[0] > 0.1 > chances[3]
-    for level, failed in ((0.1, scores == -15), (None, scores < 15)):
-        assert np.isnan(assess(scores, level, failed).probabilities()).all()
+    assert np.isnan(assess(scores, 0.1, scores == -15).probabilities()).all()
+    assert assess(scores, None, scores < 15).probabilities().sum() == pytest.approx(1), "if all fail, failures are noise"
 
 
 def test_kept_runs_report_the_best_set_though_the_noise_is_unknown() -> None:
@@ -461,6 +461,26 @@ def test_the_best_set_gets_the_runs_that_show_its_rate(most: int, fails: dict[in
     assert (winner.parameter_set, winner.violation > 0, winner.is_undecided) == (best, unsure, unsure)
     for place in fails:  # it can keep the rate no more, and gets no further runs
         assert max(ranking.seeds(place)) < 22
+
+
+def test_sets_that_may_still_show_their_rates_may_be_as_good() -> None:
+    ranking = rated(40, {}, sets=2, budget=80, scatter=1.0)
+    assert not any(each.is_close for each in ranking.best_first())
+    ranking.add([one_run(9, 1, 0.0, values={RATE.value.key: 1.0}), one_run(10, 1, -5.0, values={RATE.value.key: 1.0})])
+    assert [each.parameter_set for each in ranking.best_first() if each.is_close] == [9]
+
+
+def test_a_noisy_set_is_not_told_by_the_noise_of_others() -> None:
+    """Three differences of a set with eight times the noise of others, all on one side by chance."""
+    ranking = by_score({"S1": 1}, COMFORT, ReplicatesSpecification(most=20))
+    scatter = 0.1 * np.random.default_rng(2).normal(size=(6, 12))
+    for place in range(6):
+        ranking.add(one_run(place + 2, seed, float(x) - 3) for seed, x in enumerate(scatter[place], start=1))
+    for place, scores in ((0, (5.0, 5.0, 5.0)), (1, (4.95, 3.5, 4.9))):
+        ranking.add(one_run(place, seed, score) for seed, score in zip((13, 14, 15), scores, strict=True))
+        ranking.add([one_run(place, 1, 4.5)])
+    gain, is_close = ranking.gain_over(1, random=True)
+    assert (gain == pytest.approx(0.55), is_close) == (True, True)
 
 
 def test_a_small_budget_decides_the_rate_of_one_set_before_it_tries_another() -> None:

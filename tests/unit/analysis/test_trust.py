@@ -316,7 +316,10 @@ def test_a_search_says_what_more_brings(course: list[float | None], used: int, g
     assert (trust(subject, known).light("search"), by_code["ended"].light) == (light, "neutral")
     smooth = subject.model_copy(update={"scale": replace(subject.scale, step=None)})
     assert trust(smooth, known).light("search") == ("green" if gain == 1 else light)  # within the score's tolerance
-    assert trust(subject.model_copy(update={"ended_by": "stagnation"}), known).light("search") == "green"
+    stalled_out = subject.model_copy(update={"ended_by": "stagnation"})
+    assert verdicts(stalled_out, search=known.search)["ended"].light == "neutral", "it did not end as its user chose"
+    chosen = stalled_out.model_copy(update={"budget": {"simulations": 200, "stagnation": 50}})
+    assert trust(chosen, known).light("search") == "green"
     assert "outlook" not in verdicts(campaign(), search=SearchCourse(stalled((4.0, None), (6.0, None)), {}))
 
 

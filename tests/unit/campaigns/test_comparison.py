@@ -40,7 +40,7 @@ def test_runs_come_by_optimizer_population_seed_and_reduction() -> None:
     assert runs[-1].name == "comparison: genetic mutation=0.5, population 10, seed 2, influence"
     assert len({run.name for run in runs}) == len(runs) == 2 * 2 * 3 * 2
     last = runs[-1]
-    chosen = {"kind": "genetic", "mutation": 0.5, "population": 10, "iterations": 80, "start": "halton", "seed": 2}
+    chosen = {"kind": "genetic", "mutation": 0.5, "population": 10, "iterations": 80, "start": "lhs", "seed": 2}
     assert present(last.optimizer).model_dump(exclude={"start_sets", "start_results"}) == chosen
     assert (last.reduction.mode, last.reduction.audit) == ("influence", 0.1)
     assert last.sensitivity is not None

@@ -260,8 +260,8 @@ def test_an_address_that_is_none_is_refused_without_its_password() -> None:
 def test_rows_come_from_all_pages() -> None:
     pages = [json.dumps({"items": [{"id": 1}], "next_cursor": "x"}), json.dumps({"items": [{"id": 2}], "next_cursor": None})]
     with server(*((200, {}, page.encode()) for page in pages)) as (client, script):
-        assert [row["id"] for row in client.rows("abc", "solutions", weights={"S1": 2})] == [1, 2]
-    assert script.requests[1][1].endswith("limit=1000&weights=S1%3D2&cursor=x")
+        assert [row["id"] for row in client.rows("abc", "solutions", weights={"S1": 0.1 + 0.2})] == [1, 2]
+    assert script.requests[1][1].endswith("limit=1000&weights=S1%3D0.30000000000000004&cursor=x")
 
 
 def test_a_table_that_breaks_off_is_an_error() -> None:
@@ -329,3 +329,14 @@ def test_every_other_text_stays_as_it_is(texts: dict[str, str]) -> None:
 @given(st.text())
 def test_a_json_text_stays_one(text: str) -> None:
     assert isinstance(json.loads(harmless(json.dumps(text).encode())), str)
+
+
+def test_a_page_in_the_place_of_a_file_or_rows_is_refused() -> None:
+    page: Answer = (200, {"Content-Type": "text/html"}, b"<html>sign in")
+    for asks in (
+        lambda client: list(client.table("abc", "solutions", "csv")),
+        lambda client: client.calibration_file("abc", "dcm"),
+        lambda client: list(client.rows("abc", "solutions")),
+    ):
+        with server(page) as (client, _), pytest.raises(UnavailableError):
+            asks(client)

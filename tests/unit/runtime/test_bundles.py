@@ -21,6 +21,7 @@ from tests.support.simulators import running
 from tests.support.values import present
 
 from drivecal.adapters import children, process
+from drivecal.adapters.children import NotStartedError
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
@@ -171,16 +172,19 @@ def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
     assert answer.metrics == {"a": 2.0}
 
 
-def test_a_session_whose_folder_is_spoilt_is_opened_again(worker: Callable[..., Worker], request_: SetupRequest) -> None:
+@pytest.mark.parametrize(("fault", "starts"), [(OSError, 2), (NotStartedError, 1)])
+def test_a_session_whose_folder_is_spoilt_is_opened_again(
+    worker: Callable[..., Worker], request_: SetupRequest, fault: type[OSError], starts: int
+) -> None:
     def evaluates(_: object) -> None:
         if len(simulator.opened) in faulty:
-            raise OSError(errno.ENOSPC, "No space left on device")
+            raise fault(errno.ENOSPC, "No space left on device")
 
     faulty = {1}
     simulator = ScriptedSimulator(evaluates=evaluates)
     works = worker(simulator)
     (answer,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}),))).results
-    assert (answer.metrics, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, 2, 1)
+    assert (answer.metrics, answer.starts, len(simulator.opened), len(simulator.closed)) == ({"a": 2.0}, starts, 2, 1)
     faulty |= {2, 3}
     result = works.run(Batch(request_, (Cell(1, {"x": 3.0}),)))
     assert ("No space left" in (result.refusal or ""), result.results) == (True, ())

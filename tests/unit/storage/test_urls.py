@@ -53,3 +53,9 @@ def test_only_sqlite_has_a_file() -> None:
 )
 def test_messages_never_show_a_password(given: str, expected: str) -> None:
     assert urls.shown(urls.parse(given)) == expected
+
+
+def test_links_to_a_file_name_one_database(tmp_path: Path) -> None:
+    file, link = tmp_path / "drivecal.db", tmp_path / "link.db"
+    link.symlink_to(file)
+    assert [urls.sqlite_file(urls.parse(f"sqlite:///{path}")) for path in (file, link)] == [file.resolve()] * 2

@@ -240,6 +240,8 @@ class RobustnessStage(StudyStage):
     ) -> dict[str, Any]:
         scenarios, examined, nominal = self._problem.scenarios, self._examined[solution], self._nominal[solution]
         is_recommended = recommended is not None and recommended[0] == solution
+        means = dict(zip(scenarios, self._scores[solution].mean(axis=0).tolist(), strict=True))
+        reported = {} if nominal is None or len(self._seeds) < 2 else nominal.scores
         return {
             "rank": rank,
             "objective": None if np.isnan(objective) else objective,
@@ -247,10 +249,7 @@ class RobustnessStage(StudyStage):
             "replicates": len(self._seeds),
             **{name: getattr(nominal, name, None) for name in ("lower", "upper")},
             "parameters": examined.parameters.floats,
-            "scores": {
-                scenario: None if np.isnan(score) else plain(score)
-                for scenario, score in zip(scenarios, self._scores[solution].mean(axis=0).tolist(), strict=True)
-            },
+            "scores": {name: reported.get(name, None if np.isnan(score) else plain(score)) for name, score in means.items()},
             "region": examined.region,
             "to_worse": examined.to_worse,
             "degree": known.degree,

@@ -278,7 +278,8 @@ def report(
     with file_faults(output, "written", "give another folder"):
         (output / "tables").mkdir(parents=True, exist_ok=True)
         for name, content in files.items():
-            (output / name).write_bytes(content)
+            with _whole_or_not_at_all(output / name) as stream:
+                stream.write(content)
     written = [str(output / name) for name in files]
     text = f"{written[-1]}: the report, with {len(written) - 1} files beside it"
     return {"campaign": campaign.id, "page": written[-1], "files": written}, lambda: typer.echo(text)

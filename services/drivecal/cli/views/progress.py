@@ -170,7 +170,8 @@ def _detail(campaign: Campaign) -> str:
     cells = campaign.stages.get(campaign.stage or "", campaign.cells)
     parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
-        parts.append(f"best {judged_text(campaign.best)}")
+        seeds = f" by {campaign.best.replicates} seeds" if campaign.best.standard_error is not None else ""
+        parts.append(f"best {judged_text(campaign.best)}{seeds}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:

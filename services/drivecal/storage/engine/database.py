@@ -254,7 +254,12 @@ def make_engine(url: URL, patience: Patience = PATIENT) -> Engine:
         # isolation_level None: the driver leaves transactions to us.
         arguments: dict[str, Any] = {"timeout": patience.lock, "isolation_level": None}
     else:
-        arguments = {"connect_timeout": patience.connect, "application_name": "drivecal", **_KEEP_ALIVE}
+        arguments = {
+            "connect_timeout": patience.connect,
+            "application_name": "drivecal",
+            "client_encoding": "utf8",
+            **_KEEP_ALIVE,
+        }
     engine = create_engine(
         url,
         connect_args=arguments,

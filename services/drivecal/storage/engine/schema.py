@@ -53,6 +53,9 @@ def prepare_file(url: URL) -> None:
 
 def refuse_foreign(connection: Connection, database: str) -> None:
     """Raises DatabaseError if the database holds another program's tables or was made by a drivecal with other tables."""
+    encoding = "UTF8" if connection.dialect.name != "postgresql" else connection.scalar(text("SHOW server_encoding"))
+    if encoding != "UTF8":
+        raise DatabaseError(f"{database} has the encoding {encoding}, which lacks characters; create it with ENCODING 'UTF8'")
     tables = inspect(connection).get_table_names()
     if tables and REVISION_TABLE not in tables:
         listed = ", ".join(sorted(tables)[:3])

@@ -29,8 +29,9 @@ def parse(url: str) -> URL:
 
 
 def sqlite_file(url: URL) -> Path | None:
-    """Returns the file of an SQLite database; None for PostgreSQL."""
-    return Path(url.database or "") if url.get_backend_name() == "sqlite" else None
+    """Returns the file of an SQLite database, which has one lock however many links lead to it; None for PostgreSQL."""
+    file = Path(url.database or "")
+    return None if url.get_backend_name() != "sqlite" else file.resolve() if file.is_symlink() else file
 
 
 def shown(url: URL) -> str:

@@ -8,7 +8,7 @@ at once, and an upgrade that was killed after that is completed by the next one.
 import os
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,12 +77,12 @@ def copy_rows(source: Connection, target: Connection, progress: Progress) -> dic
     counts = count_rows(source, tables)
     for table in tables:
         done = 0
-        portions = _portions(source, table)
-        while rows := _next(portions, source):
-            with translated(urls.shown(target.engine.url)):
-                _write(target, table, rows)
-            done += len(rows)
-            progress(table.name, done, counts[table.name])
+        with closing(_portions(source, table)) as portions:
+            while rows := _next(portions, source):
+                with translated(urls.shown(target.engine.url)):
+                    _write(target, table, rows)
+                done += len(rows)
+                progress(table.name, done, counts[table.name])
     _set_sequences(target, last_numbers(source, tables))
     return counts
 
@@ -92,7 +92,7 @@ def _next(portions: Iterator[list[Row]], source: Connection) -> list[Row]:
         return next(portions, [])
 
 
-def _portions(connection: Connection, table: Table) -> Iterator[list[Row]]:
+def _portions(connection: Connection, table: Table) -> Generator[list[Row]]:
     """Reads all rows in the order of their keys, as many at a time as fit into memory."""
     columns = [column.name if connection.dialect.name != "postgresql" else _neutral(column) for column in table.columns]
     named = zip(columns, table.columns, strict=True)

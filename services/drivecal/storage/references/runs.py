@@ -160,8 +160,8 @@ def in_order_of_keys(
     query = (
         rated_by(evaluator, setup_id, watermark, *_RATED)
         .join(parameter_sets)
-        .where(*(values.contains(f'"{name}": ', autoescape=True) for name in names))
-        .where(*(~values.contains(f'"{name}": ', autoescape=True) for name in others))
+        .where(*(func.replace(values, f'"{name}": ', "") != values for name in names))  # SQLite's LIKE ignores case
+        .where(*(func.replace(values, f'"{name}": ', "") == values for name in others))
         .order_by(parameter_sets.c.key)
         .execution_options(yield_per=100)
     )
