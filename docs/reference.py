@@ -74,7 +74,6 @@ ROWS: Mapping[str, type[BaseModel]] = {
     "evaluations": tables.EvaluationRow,
     "generations": tables.Generation,
     "solutions": tables.Solution,
-    "optima": tables.OptimumRow,
     "front": tables.FrontRow,
     "influence": tables.InfluenceRow,
     "robustness": tables.RobustnessRow,

@@ -37,7 +37,6 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert {name: len(rows) for name, rows in tables.items()} == {
         "generations": 1,
         "solutions": 5,
-        "optima": 1,
         "influence": 22,
         "robustness": 0,
         "validation": 0,

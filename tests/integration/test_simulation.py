@@ -374,7 +374,7 @@ def test_the_folder_of_a_drive_is_locked_and_goes_with_it(tmp_path: Path, monkey
     monkeypatch.setattr(environment, "A_MOMENT", -1.0)
     drive = runner(S1)
     (folder,) = sessions().iterdir()
-    (killed, lock) = locked_folder()
+    killed, lock = locked_folder("drive")
     os.close(lock)
     other = runner(S1)
     assert (folder.exists(), killed.exists()) == (True, False)

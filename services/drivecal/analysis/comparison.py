@@ -116,13 +116,8 @@ def best_of(objectives: Iterable[float | None], sign: int = 1) -> float | None:
 
 
 def succeeds(course: Course, best: float | None, sign: int = 1) -> bool:
-    """Returns whether a run is known to have found an optimum as good as `best`."""
-    return (
-        best is not None
-        and not course.is_random
-        and course.optimum is not None
-        and sign * (course.optimum - best) >= -grain(best)
-    )
+    """Returns whether a run found an optimum as good as `best`."""
+    return best is not None and course.optimum is not None and sign * (course.optimum - best) >= -grain(best)
 
 
 def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:

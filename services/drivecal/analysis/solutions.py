@@ -389,7 +389,6 @@ class Ranking:
         self._known = known
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
-        self._compare_undecided(known.best(confidence) if known.is_known else None, numbers)
         for place, number in enumerate(numbers):
             fresh = [objective for seed, objective in sorted(self._samples.get(number, {}).items()) if seed > self._choosing]
             if len(fresh) > 1:
@@ -406,6 +405,8 @@ class Ranking:
                 self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
         has_rates = any(bound.rate is not None for bound in self._goals.bounds)  # which rank first
+        if has_rates:
+            self._compare_undecided(numbers[leader])
         probabilities, bounds = np.full(len(numbers), np.nan) if has_rates else known.probabilities(), known.bounds(confidence)
         ahead, halves, errors = known.ahead(leader), known.half_widths(confidence), known.standard_errors
         for place, number in enumerate(numbers):
@@ -425,15 +426,13 @@ class Ranking:
                 bound=solution.sign * float(bounds[place]),
             )
 
-    def _compare_undecided(self, leader: int | None, numbers: Sequence[int]) -> None:
+    def _compare_undecided(self, leader: int) -> None:
         """Notes sets close to the leader that may still show that they keep their rates."""
-        undecided = self.statistics(seeds=1_000_000) if leader is not None else None
-        if undecided is None or leader is None or numbers[leader] not in undecided[0]:
-            return
-        ahead = undecided[1].ahead(undecided[0].index(numbers[leader]))
-        for number in (each for each, share in zip(undecided[0], ahead, strict=True) if share > 1 - self._wanted.confidence):
-            if number not in numbers:
-                self._solutions[number] = replace(self._solutions[number], is_close=True)
+        numbers, known = self.statistics(seeds=1_000_000) or ([], None)
+        if known is not None and leader in numbers:
+            for number, share in zip(numbers, known.ahead(numbers.index(leader)), strict=True):
+                is_close = share > 1 - self._wanted.confidence
+                self._solutions[number] = replace(self._solutions[number], is_close=bool(is_close))
 
     def best_first(self) -> list[EvaluatedSet]:
         """All solutions, best first."""

@@ -204,14 +204,16 @@ def compared(connection: Connection, tag: str) -> Comparison:
     stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
     if not stored:
         raise NotFoundError("comparison", tag)
-    courses = [_course(connection, each, conditions) for each, conditions in zip(stored, _conditions(stored), strict=True)]
+    is_random = any(campaign.best is not None and campaign.best.standard_error for campaign in stored)
+    pairs = zip(stored, _conditions(stored), strict=True)
+    courses = [_course(connection, each, conditions, is_random=is_random) for each, conditions in pairs]
     sign = next((resolved_spec(campaign).goals.objectives[0].sign for campaign in stored if campaign.resolution is not None), 1)
     best = analysis.best_of((course.optimum for course in courses), sign)
     return Comparison(
         tag=tag,
         direction="maximise" if sign > 0 else "minimise",
         runs=[
-            _run(campaign, course, success=analysis.succeeds(course, best, sign))
+            _run(campaign, course, success=None if is_random else analysis.succeeds(course, best, sign))
             for campaign, course in zip(stored, courses, strict=True)
         ],
         groups=analysis.groups(courses, sign),
@@ -230,7 +232,7 @@ def _conditions(stored: Sequence[StoredCampaign]) -> list[Conditions]:
     ]
 
 
-def _course(connection: Connection, campaign: StoredCampaign, conditions: Conditions) -> Course:
+def _course(connection: Connection, campaign: StoredCampaign, conditions: Conditions, *, is_random: bool) -> Course:
     iterations = generations.course(connection, campaign.sequence)
     searched = campaign.search is not None and campaign.search.ended_by is not None  # what follows confirms the best set
     return Course(
@@ -239,11 +241,11 @@ def _course(connection: Connection, campaign: StoredCampaign, conditions: Condit
         iterations=iterations,
         surest=None if campaign.search is None else campaign.search.surest,
         confirmations=analysis.needed(campaign.cells) - sum(map(analysis.needed, iterations)) if searched else 0,
-        is_random=campaign.best is not None and campaign.best.standard_error is not None,
+        is_random=is_random,
     )
 
 
-def _run(campaign: StoredCampaign, course: Course, *, success: bool) -> ComparedRun:
+def _run(campaign: StoredCampaign, course: Course, *, success: bool | None) -> ComparedRun:
     analysed = campaign.counts(StageName.SENSITIVITY)
     last = course.iterations[-1] if course.iterations else Generation(iteration=0)
     return ComparedRun.of(

@@ -46,16 +46,7 @@ from drivecal.contracts.outside.sets import AcceptedSets, AnswerPage, CancelledS
 from drivecal.contracts.results import CampaignResults, FrontSummary, ImportanceAnswer
 from drivecal.contracts.setup import CampaignSetup
 from drivecal.contracts.specification import Given
-from drivecal.contracts.tables import (
-    FrontRow,
-    ImportedRow,
-    InfluenceRow,
-    JudgedSet,
-    OptimumRow,
-    RobustnessRow,
-    TableName,
-    ValidationRow,
-)
+from drivecal.contracts.tables import FrontRow, ImportedRow, InfluenceRow, JudgedSet, RobustnessRow, TableName, ValidationRow
 from drivecal.domain.errors import ConflictError, InvalidInputError, OverloadError, Problem, restated
 
 if TYPE_CHECKING:
@@ -319,10 +310,6 @@ class Client(Transport):
         """Returns how much the objective depends on each parameter among the sets of a search, or with `scenario` the score there. `query`:
         `scenario`, `weights`, `score` and `variant` as in the REST API."""
         return self._get(ImportanceAnswer, "campaigns", identifier, "importance", **query)
-
-    def optima(self, identifier: str) -> Rows[OptimumRow]:
-        """Returns the sets that share a campaign's best objective, with their regions."""
-        return self._rows_of(identifier, "optima", OptimumRow)
 
     def front(self, identifier: str, weights: Mapping[str, float] | str | None = None) -> Rows[FrontRow]:
         """Returns the sets that no other set dominates.

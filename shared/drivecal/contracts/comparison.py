@@ -91,7 +91,7 @@ class ComparedRun(Answer):
     `simulations`: cells of its calibration that had no answer among the run's own earlier cells or its predictions. An isolated campaign
     needs as many on an empty database. `confirmations` of them follow the search, to simulate its best set. `analysis`: the same of its
     sensitivity stage. `converged_at`: the iteration after which the best objective stayed for at least 10 further iterations, null if it
-    did not. `success`: no compared campaign found better.
+    did not. `success`: no compared campaign found better; null of random simulators.
     """
 
     campaign: str
@@ -122,7 +122,7 @@ class ComparedRun(Answer):
     """Mean objective of the last population."""
     converged_at: int | None
     simulations_to_converge: int | None
-    success: bool
+    success: bool | None
     course: list[Improvement]
     """The first iteration with a result, each that improved on it, and the last one."""
 

@@ -37,7 +37,7 @@ class EvaluatedCell(Answer):
     scores: list[Score | None] = Field(default_factory=list)
     """Scores by seed, if there are several."""
     standard_error: float | None = None
-    """Standard error of the score; this and the following are null for a single run."""
+    """Standard error of the score; this and the following are null for a single run and for equal scores."""
     lower: float | None = None
     """Lower end of its 95 % interval (Student)."""
     upper: float | None = None
@@ -177,7 +177,7 @@ class Evaluation(Answer):
     objective: float | None
     """The mean score over scenarios and seeds, null until all have one."""
     standard_error: float | None = None
-    """Standard error of the objective over the seeds; null for a single one."""
+    """Standard error of the objective over the seeds; null for a single one, and if all are equal."""
     lower: float | None = None
     """Lower end of its 95 % interval."""
     upper: float | None = None

@@ -136,8 +136,8 @@ class ResultTrust(Answer):
 class ParameterImportance(Answer):
     """Half of what R² on held-out sets loses when the values of a parameter are shuffled among them: its total effect as a share of the
     variation. `deviation`: over repetitions. About 0: the score does not depend on it in these sets; below 0: nothing but chance. `lower`,
-    `upper`: 95 % interval over the choice of the held-out sets, for this forest; another search visits other sets, and may weigh parameters
-    otherwise."""
+    `upper`: 95 % interval over the choice of the held-out sets, for this forest; `upper` holds an eighth of what it does not explain, too;
+    another search visits other sets, and may weigh parameters otherwise."""
 
     parameter: str
     importance: float
@@ -151,7 +151,7 @@ WEAK, CLEAR = 0.5, 0.025
 
 class ImportanceAnswer(Answer):
     """The importance of parameters among the sets of a search. `r2`: how well the forest predicts held-out sets, 1 exactly, 0 no better
-    than their mean. Both are null, and `items` empty, if there are too few sets or their values are all the same."""
+    than their mean. Both are null, and `items` empty, if there are too few sets, their values are all the same, or `r2` is not above 0."""
 
     scenario: str | None
     """Null: for the objective."""

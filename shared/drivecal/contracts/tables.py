@@ -176,7 +176,7 @@ def _counts_by_bin(histogram: Mapping[int, int]) -> list[float]:
     return counts
 
 
-TableName = Literal["evaluations", "generations", "solutions", "optima", "front", "influence", "robustness", "validation"]
+TableName = Literal["evaluations", "generations", "solutions", "front", "influence", "robustness", "validation"]
 
 PLACE = 5
 """Leading fields of an evaluation's row, which say which cell it is; its parameters follow."""
@@ -278,17 +278,6 @@ class Solution(Answer):
     """Probability that no other set is better; a failure counts by the share of runs that fail. Null for a quantile if runs failed."""
     runs_to_tell: int | None = None
     """Number of runs of this set and of the best set that would show which is better; null if that is known."""
-
-
-class OptimumRow(Solution):
-    """An alternative optimum: a set with the best objective (Section IV-C).
-
-    Sets with the same `region` are neighbours, or joined by a chain of neighbours. `to_worse` is the distance of the nearest set with a
-    worse objective, as a root mean square in shares of the searched ranges; null without such a set.
-    """
-
-    region: int
-    to_worse: float | None
 
 
 class FrontRow(Answer):
@@ -482,6 +471,6 @@ class ImportedRow(Answer):
 
 SolutionPage = Page[Solution]
 
-_ROWS = EvaluationRow, OptimumRow, FrontRow, RobustnessRow, ImportedRow
+_ROWS = EvaluationRow, Solution, FrontRow, RobustnessRow, ImportedRow
 _OTHER_COLUMNS = frozenset(name for kind in _ROWS for name in kind.model_fields)
 _PREFIXES = ("score_", "objective_", "constraint_", "value_", "answer_", "measure_")

@@ -181,7 +181,7 @@ def test_each_answer_that_is_computed_for_long_needs_a_place(tmp_path: Path) -> 
     settings = load_settings(database_url=url, home=tmp_path / "home")
     app = create_app(settings, Pushing.of(settings, "127.0.0.1"))
     campaign = f"/api/v1/campaigns/{'0' * 32}"
-    answers = ["solutions", "optima", "front", "front/summary", "front/evaluated"]
+    answers = ["solutions", "front", "front/summary", "front/evaluated"]
     answers += ["importance", "results", "setup", "calibration-file?format=dcm", "../../comparisons/none"]
     with TestClient(app, base_url="http://localhost:8000") as client:
         assert [client.get(f"{campaign}/{answer}").status_code for answer in answers] == [404] * len(answers)

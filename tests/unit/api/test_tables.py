@@ -29,7 +29,6 @@ from drivecal.contracts.tables import (
     EvaluationRow,
     FrontRow,
     Kind,
-    OptimumRow,
     RobustnessRow,
     Solution,
     columns_of,
@@ -136,12 +135,10 @@ def test_scores_have_whole_columns_on_whole_scales_only() -> None:
     assert file_row(Solution.model_validate(row | {"seeds": [13, 14]}))["seeds"] == "13 14"
 
 
-OWN_NAMES = sorted(
-    {name for model in (EvaluationRow, Solution, OptimumRow, FrontRow, RobustnessRow) for name in model.model_fields}
-)
+OWN_NAMES = sorted({name for model in (EvaluationRow, Solution, FrontRow, RobustnessRow) for name in model.model_fields})
 
 
-@pytest.mark.parametrize("model", [Solution, OptimumRow, FrontRow, RobustnessRow])
+@pytest.mark.parametrize("model", [Solution, FrontRow, RobustnessRow])
 def test_no_parameter_shares_a_column_with_anything_else(model: type[BaseModel]) -> None:
     parameters: dict[str, Kind] = dict.fromkeys(
         [*OWN_NAMES, "score_S1", "objective_gap", "answer_S1", "measure_gap", "P1"], "number"

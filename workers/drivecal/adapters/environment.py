@@ -24,8 +24,8 @@ GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 _SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH_TOKEN_PATH")
 """Variables that name files with secrets."""
 
-LOCKED, A_MOMENT = "drivecal-run-l-", 60.0
-"""Beginning of the names of folders that sessions lock, and the age (s) from which such a folder has its lock."""
+A_MOMENT = 60.0
+"""Age (s) from which a folder that its process locks has its lock."""
 _INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
 _REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
@@ -47,7 +47,7 @@ class Scratch:
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self.bundle = bundle.resolve()
-        self.folder, self.lock = locked_folder()
+        self.folder, self.lock = locked_folder("run")
         self.work, self.home = self.folder / "work", self.folder / "home"
         self.is_spoilt = False
         """A process may live that nothing ends, and put links where the worker writes."""
@@ -115,13 +115,13 @@ class Scratch:
             self.lock = -1
 
 
-def locked_folder() -> tuple[Path, int]:
+def locked_folder(kind: str) -> tuple[Path, int]:
     """Returns a new folder among the user's sessions, and a descriptor: its lock holds while this process or a child with it lives. The
     folders of killed processes are removed. Raises UnavailableError if another user could change them."""
     parent = sessions()
-    for folder in parent.glob(f"{LOCKED}*"):
+    for folder in parent.glob("drivecal-*-l-*"):
         _remove_if_left_behind(folder)
-    created = Path(tempfile.mkdtemp(prefix=LOCKED, dir=parent))
+    created = Path(tempfile.mkdtemp(prefix=f"drivecal-{kind}-l-", dir=parent))
     lock = os.open(created, os.O_RDONLY)
     with suppress(OSError):  # a disk without locks: its folders stay
         fcntl.flock(lock, fcntl.LOCK_SH)

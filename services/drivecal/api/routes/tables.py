@@ -18,7 +18,6 @@ from drivecal.api.tables.selection import Row
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec, specification_of
 from drivecal.campaigns.resolve.workbench import find_workbench, stored_bundles
 from drivecal.campaigns.results.front import CampaignFront, front_of
-from drivecal.campaigns.results.optima import alternatives
 from drivecal.contracts.evaluation import CellNumber
 from drivecal.contracts.results import FrontSummary
 from drivecal.contracts.tables import (
@@ -29,7 +28,6 @@ from drivecal.contracts.tables import (
     InfluenceRow,
     JudgedSet,
     Kind,
-    OptimumRow,
     RobustnessRow,
     Solution,
     ValidationRow,
@@ -115,23 +113,6 @@ def list_solutions(campaign_id: str, query: SolutionsQuery, database: DatabaseDe
     return table_answer(
         f"solutions-{stored.campaign.id}", query, accept, lambda: columns, slices(ranked.solutions, len(ranked))
     )
-
-
-@router.get("/optima", responses=page_or_file(OptimumRow))
-@computed
-def list_optima(campaign_id: str, query: TableQuery, database: DatabaseDependency, accept: Accept = "*/*") -> Response:
-    """The sets that share the best objective, the region of the space where each lies, and how far the nearest worse set is; at
-    most the first 10,000 of them."""
-    stored = ranking_of(database, campaign_id, ", which ranks nothing")
-    ranked = solution_pages(stored)
-    known = alternatives(database, ranked.ranked, stored.resolved.space)
-
-    def rows(start: int, stop: int) -> list[OptimumRow]:
-        placed = zip(ranked.solutions(start, min(stop, len(known))), known.shown(start, stop), strict=True)
-        return [OptimumRow(**dict(solution), region=at.region, to_worse=at.to_worse) for solution, at in placed]
-
-    columns = ranked_columns(OptimumRow, ranked.scenarios, stored.resolved)
-    return table_answer(f"optima-{stored.campaign.id}", query, accept, lambda: columns, slices(rows, len(known)))
 
 
 @router.get("/influence", responses=page_or_file(InfluenceRow))

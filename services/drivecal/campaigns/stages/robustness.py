@@ -119,7 +119,7 @@ class RobustnessStage(StudyStage):
         """The sets of the front, or with one objective the sets that count as the best or cannot be told from it, which break constraints
         no more than the best set; and others."""
         ranked = ranking.best_first()
-        best = [each for each in ranked if each.is_close or ranked[0].equals(each)]
+        best = [each for each in ranked if _is_as_good(each, ranked[0])]
         if len(self._goals.objectives) > 1:
             best = [member.solution for member in ranking.front()]
         chosen = {each.parameter_set for each in best}
@@ -232,7 +232,7 @@ class RobustnessStage(StudyStage):
             points = self._goals.signed(each.choice.judgement for each in known)
             best = self._goals.leading(points, np.array([each.choice.violation for each in known], dtype=np.float64))
         if len(self._goals.objectives) == 1:
-            best |= [each.is_close or first.equals(each) for each in known]
+            best |= [_is_as_good(each, first) for each in known]
         return [usable[place] for place in np.flatnonzero(best).tolist()]
 
     def _row(
@@ -260,3 +260,8 @@ class RobustnessStage(StudyStage):
             "reason": recommended[1] if recommended is not None and is_recommended else None,
             "trials": [trial.model_dump() for trial in known.trials],
         }
+
+
+def _is_as_good(each: EvaluatedSet, best: EvaluatedSet) -> bool:
+    """Returns whether a set counts as the best one, or cannot be told from it and breaks constraints no more."""
+    return best.equals(each) or (each.is_close and each.violation <= best.violation)

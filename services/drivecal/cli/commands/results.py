@@ -259,7 +259,7 @@ def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
             written.unlink(missing_ok=True)
 
 
-TABLES: tuple[TableName, ...] = ("generations", "solutions", "optima", "influence", "robustness", "validation")
+TABLES: tuple[TableName, ...] = ("generations", "solutions", "influence", "robustness", "validation")
 """Tables of a report."""
 
 

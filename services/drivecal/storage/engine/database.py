@@ -230,6 +230,7 @@ class Database:
         with translated(self.name):
             schema.prepare_file(self.url)
             with self._engine.connect() as connection:
+                schema.refuse_encoding(connection, self.name)
                 schema.refuse_foreign(connection, self.name)
             schema.use_write_ahead_log(self.url)
             with self.transaction() as connection:
@@ -240,6 +241,7 @@ class Database:
         with translated(self.name):
             schema.refuse_missing(self.url)
             with self._engine.connect() as connection:
+                schema.refuse_encoding(connection, self.name)
                 schema.refuse_foreign(connection, self.name)
                 schema.refuse_unmigrated(connection, self.name)
 

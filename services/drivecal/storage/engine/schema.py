@@ -53,9 +53,6 @@ def prepare_file(url: URL) -> None:
 
 def refuse_foreign(connection: Connection, database: str) -> None:
     """Raises DatabaseError if the database holds another program's tables or was made by a drivecal with other tables."""
-    encoding = "UTF8" if connection.dialect.name != "postgresql" else connection.scalar(text("SHOW server_encoding"))
-    if encoding != "UTF8":
-        raise DatabaseError(f"{database} has the encoding {encoding}, which lacks characters; create it with ENCODING 'UTF8'")
     tables = inspect(connection).get_table_names()
     if tables and REVISION_TABLE not in tables:
         listed = ", ".join(sorted(tables)[:3])
@@ -64,6 +61,16 @@ def refuse_foreign(connection: Connection, database: str) -> None:
     if revision is not None and revision not in known_revisions():
         message = f"{database} was made by another drivecal: its tables are of revision {revision}, which is not {known_revisions()[0]}"
         raise DatabaseError(f"{message}; install the drivecal that made it, or name another database")
+
+
+def refuse_encoding(connection: Connection, database: str) -> None:
+    """Raises DatabaseError if a PostgreSQL database cannot hold all characters."""
+    encoding = "UTF8" if connection.dialect.name != "postgresql" else connection.scalar(text("SHOW server_encoding"))
+    if encoding != "UTF8":
+        message = f"{database} has the encoding {encoding}, not UTF8"
+        raise DatabaseError(
+            f"{message}; create one with ENCODING 'UTF8', and copy what is stored by `drivecal db backup` and `db restore`"
+        )
 
 
 def refuse_unmigrated(connection: Connection, database: str) -> None:

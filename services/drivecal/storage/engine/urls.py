@@ -1,5 +1,6 @@
 """Database URLs: parses a user's URL for SQLAlchemy, and masks it for messages."""
 
+import os
 from pathlib import Path
 
 from sqlalchemy import URL, make_url
@@ -31,7 +32,7 @@ def parse(url: str) -> URL:
 def sqlite_file(url: URL) -> Path | None:
     """Returns the file of an SQLite database, which has one lock however many links lead to it; None for PostgreSQL."""
     file = Path(url.database or "")
-    return None if url.get_backend_name() != "sqlite" else file.resolve() if file.is_symlink() else file
+    return None if url.get_backend_name() != "sqlite" else Path(os.path.realpath(file)) if file.is_symlink() else file
 
 
 def shown(url: URL) -> str:

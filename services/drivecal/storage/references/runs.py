@@ -156,17 +156,16 @@ def in_order_of_keys(
 ) -> Iterator[RatedRun]:
     """Returns a setup's runs up to `watermark` by the keys of their sets, which is a random order: sets with all `names` and none of the
     `others`. The connection must stay open meanwhile."""
-    values = parameter_sets.c.parameter_values
     query = (
         rated_by(evaluator, setup_id, watermark, *_RATED)
         .join(parameter_sets)
-        .where(*(func.replace(values, f'"{name}": ', "") != values for name in names))  # SQLite's LIKE ignores case
-        .where(*(func.replace(values, f'"{name}": ', "") == values for name in others))
         .order_by(parameter_sets.c.key)
         .execution_options(yield_per=100)
     )
     for number, text, score, rating in connection.execute(query):
-        yield RatedRun(number, ParameterSet.from_json(text), score, rating)
+        parameters = ParameterSet.from_json(text)
+        if set(names) <= set(parameters.names) and not set(others) & set(parameters.names):
+            yield RatedRun(number, parameters, score, rating)
 
 
 def rated_by(evaluator: str, setup_id: int, watermark: int, *columns: ColumnElement[Any]) -> Select[Any]:

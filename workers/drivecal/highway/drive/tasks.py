@@ -120,12 +120,13 @@ class TaskRunner:
             vehicle: as from `Vehicle.create`; runners must not share it.
             evaluator: rates the runs.
 
-        Raises InvalidInputError if the scenario cannot be driven, and TrafficError if SUMO refuses it.
+        Raises InvalidInputError if the scenario cannot be driven, TrafficError if SUMO refuses it,
+        and UnavailableError if another user could change its files.
         """
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         """Names of the driving function's parameters in the order of `run`."""
         self._function, self._vehicle, self._evaluator = driving_function, vehicle, evaluator
-        self._folder, lock = locked_folder()
+        self._folder, lock = locked_folder("drive")
         finalize(self, let_go, self._folder, lock)
         (self._folder / NETWORK).write_bytes(scenario.network)
         self._road = road_of(scenario)
