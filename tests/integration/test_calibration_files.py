@@ -57,7 +57,7 @@ def test_only_studies_that_succeeded_say_how_robust_a_set_is(ended: Ended) -> No
     for state, degree in ((CampaignState.SUCCEEDED, 7), (CampaignState.CANCELLED, 1), (CampaignState.RUNNING, 2)):
         row = RobustnessRow(
             rank=1, objective=1.0, rating=1.0, degree=degree, at_least=False, radius=0.1, recommended=False, reason=None, region=0,
-            to_worse=None, scores=dict(chosen.scores), parameters=chosen.parameters, trials=[],
+            scores=dict(chosen.scores), parameters=chosen.parameters, trials=[],
         )  # fmt: skip
         with ended.api.database.transaction() as connection:
             spec = campaigns.get(connection, ended.several).spec

@@ -1,6 +1,7 @@
 """SUMO and the closed loop with a planner made for these tests."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,10 +16,10 @@ import pytest
 from tests.support.roads import to_cartesian
 from tests.support.values import faults_of, present
 
-from drivecal.adapters import environment
-from drivecal.adapters.environment import locked_folder, sessions
+from drivecal.adapters.environment import sessions
 from drivecal.bundles.highway import Scenario, TrafficVehicle
 from drivecal.campaigns.resolve.problem import resolve
+from drivecal.cluster import machine
 from drivecal.contracts.specification import CampaignSpecification
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.evaluations import Failure
@@ -371,10 +372,10 @@ def test_all_vehicles_are_where_sumo_has_them(scenario: Scenario) -> None:
 
 def test_the_folder_of_a_drive_is_locked_and_goes_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(environment, "A_MOMENT", -1.0)
+    monkeypatch.setattr(machine, "A_MOMENT", -1.0)
     drive = runner(S1)
     (folder,) = sessions().iterdir()
-    killed, lock = locked_folder("drive")
+    killed, lock = machine.locked_folder(sessions(), "drivecal-drive-l-", shutil.rmtree)
     os.close(lock)
     other = runner(S1)
     assert (folder.exists(), killed.exists()) == (True, False)

@@ -75,10 +75,7 @@ class Course:
         return sum(self.simulations) + self.confirmations
 
     def best_after(self, simulations: int) -> float | None:
-        """Returns the best objective that the search had believed in after a number of simulations; None before the first, and of random
-        simulators."""
-        if self.is_random:
-            return None
+        """Returns the best objective that the search had believed in after a number of simulations; None before the first."""
         taken = accumulate(self.simulations)
         return next((best for used, best in reversed(list(zip(taken, self.best, strict=True))) if used <= simulations), None)
 
@@ -127,7 +124,7 @@ def groups(courses: Sequence[Course], sign: int = 1) -> list[ComparedGroup]:
     for course in courses:
         conditions = course.conditions
         courses_by_group.setdefault((conditions.optimizer, conditions.population, conditions.reduction), []).append(course)
-    common = min((sum(course.simulations) for course in courses if course.iterations), default=0)
+    common = min((sum(course.simulations) for course in courses if course.iterations and not course.is_random), default=0)
     marks = sorted({mark for mark in (common // 4, common // 2, common) if mark})
     return [_group(*key, members, best, sign, marks) for key, members in courses_by_group.items()]
 

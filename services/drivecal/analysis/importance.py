@@ -61,9 +61,8 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = (undisturbed - _r2(predicted, values[judged])) / 2
         added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
-    lower, upper = _interval(added, values[judged], generator)
-    upper += UNEXPLAINED * (1.0 - max(undisturbed, 0.0))
-    lower, upper = np.minimum((lower, upper), 1.0)  # no share is more than all
+    ends = _interval(added, values[judged], generator) + np.array([[0.0], [UNEXPLAINED * (1.0 - max(undisturbed, 0.0))]])
+    lower, upper = np.minimum(ends, 1.0)  # no share is more than all
     return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
 
 

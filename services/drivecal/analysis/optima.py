@@ -1,6 +1,6 @@
-"""Sets that share the best objective: in how many distinct regions they lie, and how far the next worse one is (Section IV-C)."""
+"""Sets that share the best objective: in how many distinct regions they lie (Section IV-C)."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -42,29 +42,14 @@ def regions(points: Floats, neighbours: float = NEIGHBOURS) -> npt.NDArray[np.in
     return numbers
 
 
-@dataclass(frozen=True, slots=True)
-class Optimum:
-    """A best set: its region, and the distance of the nearest worse set, if any, in shares of the ranges."""
-
-    region: int
-    to_worse: float | None
-
-
-def to_nearest(points: Floats, others: Floats) -> list[float | None]:
-    """Returns the distance of the nearest of `others` from each of `points`, in shares of the ranges; None without others."""
-    if not len(others):
-        return [None] * len(points)
-    return [float(np.sqrt(((others - point) ** 2).mean(axis=1).min())) for point in points]
-
-
-def one_per_region_first(labels: npt.NDArray[np.int64], most: int) -> list[int]:
+def one_per_region_first(labels: Sequence[int], most: int) -> list[int]:
     """Positions of at most `most` points: the first of every region, then the second of every region, and so on.
 
     So a study of some of the best sets sees every region before it sees any of them twice.
     """
     seen: dict[int, int] = {}
     turns = []
-    for position, label in enumerate(labels.tolist()):
+    for position, label in enumerate(labels):
         turns.append((seen.get(label, 0), position))
         seen[label] = seen.get(label, 0) + 1
     return [position for _, position in sorted(turns)[:most]]

@@ -406,8 +406,7 @@ def _ended(campaign: Campaign, course: Course, *, is_random: bool) -> Iterator[R
     if campaign.ended_by not in {None, "cancelled"} and course:
         best = [each.best for each in course]
         share = last_change(best) / len(course)
-        is_chosen = bool((campaign.budget or {}).get("stagnation"))  # else nothing new came for a while
-        stood = campaign.ended_by == "stagnation" and is_chosen
+        stood = campaign.ended_by == "stagnation" and bool((campaign.budget or {}).get("stagnation"))  # as chosen
         yield verdict("ended", "green" if stood else "neutral", by=campaign.ended_by, share=share)
         if is_random or not _has_outlook(campaign) or (gain := expected_gain(best)) is None:
             return

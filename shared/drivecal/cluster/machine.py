@@ -1,13 +1,45 @@
-"""CPUs that this process may use: all of its machine, within the limits of its container."""
+"""CPUs of a process, within the limits of its container, and its temporary folders."""
 
+import fcntl
 import math
 import os
-from collections.abc import Iterator
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 CONTROL_GROUPS = Path("/sys/fs/cgroup")
 OWN_GROUPS = Path("/proc/self/cgroup")
 """Control groups of this process, a line each: `number:controllers:path`. Version 2 names no controllers."""
+
+
+A_MOMENT = 60.0
+"""Age (s) from which a folder that its process locks has its lock."""
+
+
+def locked_folder(parent: Path, prefix: str, remove: Callable[[Path], None]) -> tuple[Path, int]:
+    """Returns a new private folder and a descriptor, whose lock holds while this process or a child with it lives. The folders of this
+    prefix that killed processes left are removed."""
+    for folder in parent.glob(f"{prefix}*"):
+        _remove_if_left_behind(folder, remove)
+    created = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    lock = os.open(created, os.O_RDONLY)
+    with suppress(OSError):  # a disk without locks: its folders stay
+        fcntl.flock(lock, fcntl.LOCK_SH)
+    return created, lock
+
+
+def _remove_if_left_behind(folder: Path, remove: Callable[[Path], None]) -> None:
+    with suppress(OSError):  # gone, another user's, or locked: its process lives
+        descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+        try:
+            status = os.fstat(descriptor)
+            if status.st_uid == os.geteuid() and time.time() - status.st_ctime > A_MOMENT:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                remove(folder)
+        finally:
+            os.close(descriptor)
 
 
 def cpus() -> int:

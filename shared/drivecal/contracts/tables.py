@@ -384,8 +384,8 @@ class RobustnessRow(Answer):
     """A best set; rows are ordered by degree of robustness, objective, rating.
 
     `scores` were simulated in the nominal vehicle. The condition holds up to `degree` multiples of delta, or more with `at_least`. `radius`
-    is the half width of the widest box that holds (delta_max from below). Sets with the same `region` are neighbours. `to_worse` is the
-    distance of the nearest set with a worse objective, in shares of the ranges.
+    is the half width of the widest box that holds (delta_max from below). Sets with the same `region` are neighbours, or
+    joined by a chain of neighbours.
     """
 
     rank: int
@@ -406,7 +406,6 @@ class RobustnessRow(Answer):
     reason: str | None
     """The reason for the recommendation."""
     region: int
-    to_worse: float | None
     scores: Annotated[dict[str, Score | None], Spread("score_")]
     parameters: Annotated[dict[str, float | str], Spread()]
     trials: Annotated[list[BoxTrial], JSON_ONLY]

@@ -27,9 +27,10 @@ from tests.support.simulators import (
     write_server,
 )
 
-from drivecal.adapters import children, environment, files, keeper
+from drivecal.adapters import children, files, keeper
 from drivecal.adapters.children import Children
 from drivecal.adapters.environment import GRANTED, Scratch
+from drivecal.cluster import machine
 from drivecal.domain.evaluations import Breakdown
 from drivecal.plugins.simulators import NoMeasuresError
 
@@ -385,7 +386,7 @@ def test_folders_of_killed_workers_and_keepers_are_removed(tmp_path: Path, monke
         killed.lock = -1
     Scratch(tmp_path).remove()
     assert dead.folder.exists(), "too young: its worker may be about to lock it"
-    monkeypatch.setattr(environment, "A_MOMENT", -1.0)
+    monkeypatch.setattr(machine, "A_MOMENT", -1.0)
     Scratch(tmp_path).remove()
     assert [each.folder.exists() for each in (living, kept, dead)] == [True, True, False]
     family.close()

@@ -59,7 +59,7 @@ def studied(*rows: ValidationRow | RobustnessRow, by: str = "v") -> StudyResult:
 def robust(degree: int) -> RobustnessRow:
     return RobustnessRow(
         rank=1, objective=6.0, rating=6.0, degree=degree, at_least=False, radius=0.01 * degree, recommended=True, reason="the best",
-        region=0, to_worse=None, scores={}, parameters={}, trials=[],
+        region=0, scores={}, parameters={}, trials=[],
     )  # fmt: skip
 
 

@@ -1,5 +1,6 @@
 import fcntl
 import os
+import shutil
 import stat
 import time
 from collections import Counter
@@ -10,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tests.support.changes import replace_in
 
+from drivecal.cluster import machine
 from drivecal.cluster.members import Node
 from drivecal.execution.ray import cluster
 from drivecal.execution.ray.backend import complaint, missing
-from drivecal.execution.ray.cluster import LONGEST_FOLDER, _PrivateFolder
+from drivecal.execution.ray.cluster import LONGEST_FOLDER, private_folder
 
 
 @pytest.fixture
@@ -23,13 +25,10 @@ def parent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_only_the_user_can_enter_ray_s_folder_and_it_goes_with_its_process(parent: Path) -> None:
-    folder = _PrivateFolder()
-    assert stat.S_IMODE(folder.path.parent.stat().st_mode) == 0o700
-    folder.path.mkdir()
-    (folder.path / "log").write_text("some words")
-    folder.remove()
-    assert list(parent.iterdir()) == []
+def test_only_the_user_can_enter_ray_s_folder(parent: Path) -> None:
+    folder, lock = private_folder()
+    assert (folder.parent, stat.S_IMODE(folder.stat().st_mode)) == (parent, 0o700)
+    os.close(lock)
 
 
 def test_folders_of_dead_processes_are_removed(parent: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,15 +39,16 @@ def test_folders_of_dead_processes_are_removed(parent: Path, monkeypatch: pytest
     lock = os.open(living, os.O_RDONLY)
     fcntl.flock(lock, fcntl.LOCK_EX)
     now = time.time()
-    replace_in(monkeypatch, cluster, "time", time=lambda: now + 3600.0)
-    _PrivateFolder().remove()
-    assert sorted(parent.iterdir()) == [living, other]
+    replace_in(monkeypatch, machine, "time", time=lambda: now + 3600.0)
+    created, own = private_folder()
+    assert sorted(parent.iterdir()) == sorted([created, living, other])
     os.close(lock)
+    os.close(own)
     monkeypatch.undo()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(parent))
     monkeypatch.setattr(cluster, "LONGEST_FOLDER", 1000)
     young.mkdir()
-    _PrivateFolder().remove()
+    os.close(private_folder()[1])
     assert young.exists()
 
 
@@ -56,9 +56,10 @@ def test_ray_s_sockets_fit_into_a_unix_socket_s_path(tmp_path: Path, monkeypatch
     deep = tmp_path / ("x" * 80)
     deep.mkdir()
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(deep))
-    folder = _PrivateFolder()
-    assert len(str(folder.path)) <= LONGEST_FOLDER
-    folder.remove()
+    folder, lock = private_folder()
+    assert len(str(folder / "r")) <= LONGEST_FOLDER
+    shutil.rmtree(folder)
+    os.close(lock)
 
 
 OURS = "1.0"

@@ -21,7 +21,6 @@ from tests.support.simulators import running
 from tests.support.values import present
 
 from drivecal.adapters import children, process
-from drivecal.adapters.children import NotStartedError
 from drivecal.contracts.evaluation import ReplayAnswer
 from drivecal.contracts.work import Batch, Cell, SetupRequest
 from drivecal.domain.errors import UnavailableError
@@ -172,7 +171,7 @@ def test_a_machine_without_disk_refuses_cells_and_runs_them_when_there_is_some(
     assert answer.metrics == {"a": 2.0}
 
 
-@pytest.mark.parametrize(("fault", "starts"), [(OSError, 2), (NotStartedError, 1)])
+@pytest.mark.parametrize(("fault", "starts"), [(OSError, 2), (ChildProcessError, 1)])
 def test_a_session_whose_folder_is_spoilt_is_opened_again(
     worker: Callable[..., Worker], request_: SetupRequest, fault: type[OSError], starts: int
 ) -> None:

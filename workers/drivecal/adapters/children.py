@@ -39,10 +39,6 @@ REPLY_SECONDS = 30.0
 """Time after which a keeper that does not answer is taken as lost."""
 
 
-class NotStartedError(OSError):
-    """The session has to end before a child can start."""
-
-
 class Children:
     """The children of one session. Not thread-safe."""
 
@@ -89,9 +85,9 @@ class Children:
         not to be trusted.
         """
         if self._scratch.is_spoilt:
-            raise NotStartedError(errno.EPERM, "a simulator's keeper was killed, so its session ends", str(self._scratch.work))
+            raise ChildProcessError(errno.EPERM, "a simulator's keeper was killed", str(self._scratch.work))
         if not self._scratch.work.is_dir():  # removed by its program, or by a keeper that ended: a new session has another
-            raise NotStartedError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
+            raise ChildProcessError(errno.ENOENT, "the working directory of a simulator is gone", str(self._scratch.work))
         if self._control is None:
             self._start_keeper()
         reply = None

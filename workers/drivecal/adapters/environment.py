@@ -1,15 +1,12 @@
 """Scratch folders and environments of child processes."""
 
 import errno
-import fcntl
 import os
 import re
 import stat
 import sys
 import tempfile
-import time
 from collections.abc import Collection
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +14,7 @@ import drivecal
 from drivecal.adapters.files import remove
 from drivecal.bundles.archives import MANIFEST
 from drivecal.cluster.homes import DATABASE_ENDINGS, remembered
+from drivecal.cluster.machine import locked_folder
 from drivecal.domain.errors import UnavailableError
 
 GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
@@ -24,8 +22,6 @@ GRANTED = "DRIVECAL_SIMULATOR_FOLDERS"
 _SECRETS = ("DRIVECAL_TOKENS_FILE", "DRIVECAL_DATABASE_PASSWORD_FILE", "RAY_AUTH_TOKEN_PATH")
 """Variables that name files with secrets."""
 
-A_MOMENT = 60.0
-"""Age (s) from which a folder that its process locks has its lock."""
 _INHERITED = re.compile(r"PATH|LANG|LC_\w+|TZ|LD_LIBRARY_PATH|\w+_LICENSE\w*")
 """Names of variables that every child gets: what programs need to start, to write numbers and dates, and to reach licence servers."""
 _REFUSALS = ("ermission denied", "EACCES", "ead-only file system", "EROFS")
@@ -47,7 +43,7 @@ class Scratch:
     def __init__(self, bundle: Path) -> None:
         """Creates the folder in the user's private folder of sessions. Raises UnavailableError if another user could change that."""
         self.bundle = bundle.resolve()
-        self.folder, self.lock = locked_folder("run")
+        self.folder, self.lock = locked_folder(sessions(), "drivecal-run-l-", remove)
         self.work, self.home = self.folder / "work", self.folder / "home"
         self.is_spoilt = False
         """A process may live that nothing ends, and put links where the worker writes."""
@@ -115,19 +111,6 @@ class Scratch:
             self.lock = -1
 
 
-def locked_folder(kind: str) -> tuple[Path, int]:
-    """Returns a new folder among the user's sessions, and a descriptor: its lock holds while this process or a child with it lives. The
-    folders of killed processes are removed. Raises UnavailableError if another user could change them."""
-    parent = sessions()
-    for folder in parent.glob("drivecal-*-l-*"):
-        _remove_if_left_behind(folder)
-    created = Path(tempfile.mkdtemp(prefix=f"drivecal-{kind}-l-", dir=parent))
-    lock = os.open(created, os.O_RDONLY)
-    with suppress(OSError):  # a disk without locks: its folders stay
-        fcntl.flock(lock, fcntl.LOCK_SH)
-    return created, lock
-
-
 def let_go(folder: Path, lock: int) -> None:
     """Removes a locked folder."""
     remove(folder)
@@ -144,18 +127,6 @@ def sessions() -> Path:
     if status.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         folder.chmod(0o700)
     return folder
-
-
-def _remove_if_left_behind(folder: Path) -> None:
-    """Removes the folder of a session whose worker and keeper were both killed."""
-    with suppress(OSError):  # gone, or locked: its session lives
-        descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
-        try:
-            if time.time() - os.fstat(descriptor).st_ctime > A_MOMENT:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                remove(folder)
-        finally:
-            os.close(descriptor)
 
 
 def _absolute(path: Path) -> Path | None:

@@ -14,7 +14,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from drivecal.adapters.children import NotStartedError
 from drivecal.adapters.command import run_probe
 from drivecal.adapters.kinds import simulator_of
 from drivecal.adapters.process import WATCH_SECONDS, ProcessSession
@@ -168,7 +167,7 @@ class BundleSessions:
                 try:
                     return self._run(setup, cell)
                 except OSError as error:  # a full disk, or what the simulator did to its folder: a new session has another
-                    self._starts -= isinstance(error, NotStartedError)
+                    self._starts -= isinstance(error, ChildProcessError)  # it was not started
                     self._drop(setup.session_key)
                     return self._run(setup, cell)
             except OSError as error:

@@ -24,7 +24,7 @@ from drivecal.campaigns.resolve.spaces import Function
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, StoredRanking, front_of
-from drivecal.campaigns.results.optima import alternatives
+from drivecal.campaigns.results.optima import best_regions
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
 from drivecal.contracts.evaluation import FailureCause
@@ -151,8 +151,8 @@ def _trust(
         is_random = evaluations.are_seeded(connection, campaign.sequence)
     noise = stored.sets.by_objective()[1] if is_random and campaign.state.ended else []
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
-        known_best = alternatives(stored.database, stored.sets.best_first(), stored.resolved.space)
-        search = replace(search, regions=len(set(known_best.regions.tolist())))
+        regions = best_regions(stored.database, stored.sets.best_first(), stored.resolved.space)
+        search = replace(search, regions=len(set(regions.tolist())))
     amounts = {} if campaign.best is None else campaign.best.constraints
     goals = stored.resolved.goals if amounts else None
     seeds = 1 if campaign.best is None else campaign.best.replicates

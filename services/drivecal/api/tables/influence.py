@@ -122,10 +122,13 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
         variations = [goal.shares[name] ** 2 * float(np.var(list(scores[name].values()))) for name in known]
         result = mean_of(list(zip(variations, known.values(), strict=True))) if sum(variations) > 0.0 else None
     if result is None or result.r2 <= 0.0:
-        note = "the other sets explain nothing of how the values of the held-out ones differ"
-        if result is None:
-            few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
-            note = few if len(own) < LEAST_SETS else "the values of nearly all sets are the same"
+        few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
+        alike = (
+            "the values of nearly all sets are the same"
+            if result is None
+            else "sets tell nothing of the values of held-out ones"
+        )
+        note = few if len(own) < LEAST_SETS else alike
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
     figures = (each.tolist() for each in (result.mean, result.deviation, result.lower, result.upper))
     items = [

@@ -14,7 +14,7 @@ from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
 from drivecal.campaigns.results.front import StoredRanking
-from drivecal.campaigns.results.optima import MOST_BEST, MOST_WORSE, beside
+from drivecal.campaigns.results.optima import MOST_BEST, regions_of
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exact_policy
 from drivecal.domain.campaigns import StageName
@@ -32,11 +32,10 @@ from drivecal.storage.references import parameter_sets
 
 @dataclass(frozen=True, slots=True)
 class Examined:
-    """An examined set: its region among the examined sets, and the distance to the nearest evaluated worse set."""
+    """An examined set, and its region among the examined sets."""
 
     parameters: ParameterSet
     region: int
-    to_worse: float | None
 
 
 def check_source(connection: Connection, problem: CalibrationProblem) -> None:
@@ -91,8 +90,8 @@ class RobustnessStage(StudyStage):
         with self._database.read() as connection:
             sets = results.sets_at(connection, self._campaign.sequence, self.name, 0)
             document = studies.get(connection, self._campaign.sequence, self.name) or {"items": []}
-        beside = {key_of(row["parameters"]): (row["region"], row["to_worse"]) for row in document["items"]}
-        return [Examined(sets[number], *beside.get(key_of(sets[number].floats), (0, None))) for number in sorted(sets)]
+        regions = {key_of(row["parameters"]): row["region"] for row in document["items"]}
+        return [Examined(sets[number], regions.get(key_of(sets[number].floats), 0)) for number in sorted(sets)]
 
     def _choose(self) -> list[Examined]:
         """The named sets, then the best sets of the calibration, or its front, one of each region first. Simulations that this campaign
@@ -102,28 +101,22 @@ class RobustnessStage(StudyStage):
             source = self._campaign if of is None else campaigns.get(connection, of)
         resolved = replace(resolved_spec(source), weights=self._problem.weights, goals=self._goals)
         stored = StoredRanking(self._database, source, resolved, 0 if of is None else self._view.watermark)
-        best, worse = self._split(stored.sets)
-        sets = self._database.query(parameter_sets.load, [solution.parameter_set for solution in (*best, *worse)])
+        best = [solution.parameter_set for solution in self._best(stored.sets)]
+        sets = self._database.query(parameter_sets.load, best)
         named = list(self._problem.robust_sets)
-        best_sets = [sets[solution.parameter_set] for solution in best]
-        listed = named + [parameter_set for parameter_set in best_sets if parameter_set not in named]
-        others = [each for solution in worse if (each := sets[solution.parameter_set]) not in named]
-        known = (placed := beside(self._problem.space, listed, others)).shown(0, len(listed))
-        chosen = one_per_region_first(placed.regions[len(named) :], self._wanted.solutions)
-        return [
-            Examined(listed[position], known[position].region, known[position].to_worse)
-            for position in (*range(len(named)), *(len(named) + place for place in chosen))
-        ]
+        listed = named + [sets[number] for number in best if sets[number] not in named]
+        regions = regions_of(self._problem.space, listed).tolist() if listed else []
+        chosen = one_per_region_first(regions[len(named) :], self._wanted.solutions)
+        places = (*range(len(named)), *(len(named) + place for place in chosen))
+        return [Examined(listed[place], regions[place]) for place in places]
 
-    def _split(self, ranking: Ranking) -> tuple[list[EvaluatedSet], list[EvaluatedSet]]:
+    def _best(self, ranking: Ranking) -> list[EvaluatedSet]:
         """The sets of the front, or with one objective the sets that count as the best or cannot be told from it, which break constraints
-        no more than the best set; and others."""
-        ranked = ranking.best_first()
-        best = [each for each in ranked if _is_as_good(each, ranked[0])]
+        no more than the best set."""
         if len(self._goals.objectives) > 1:
-            best = [member.solution for member in ranking.front()]
-        chosen = {each.parameter_set for each in best}
-        return best[:MOST_BEST], [each for each in ranked if each.parameter_set not in chosen][:MOST_WORSE]
+            return [member.solution for member in ranking.front()][:MOST_BEST]
+        ranked = ranking.best_first()
+        return [each for each in ranked if _is_as_good(each, ranked[0])][:MOST_BEST]
 
     @property
     def _at_most(self) -> int:
@@ -251,7 +244,6 @@ class RobustnessStage(StudyStage):
             "parameters": examined.parameters.floats,
             "scores": {name: reported.get(name, None if np.isnan(score) else plain(score)) for name, score in means.items()},
             "region": examined.region,
-            "to_worse": examined.to_worse,
             "degree": known.degree,
             "at_least": known.at_least,
             "radius": known.radius,

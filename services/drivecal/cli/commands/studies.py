@@ -11,7 +11,7 @@ from drivecal.analysis.robustness import vehicles_text
 from drivecal.cli.application import CampaignArgument, app, code_of_state, say
 from drivecal.cli.views.output import Asked, asking, parameters_text, print_blocks, print_columns
 from drivecal.cli.views.progress import follow
-from drivecal.cli.views.sections import fixed, objective_number, validation_tables
+from drivecal.cli.views.sections import objective_number, validation_tables
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import STUDIES, Campaign, StudyName
 from drivecal.contracts.setup import ShapeAnswer
@@ -199,13 +199,13 @@ def print_robustness(rows: Sequence[RobustnessRow], settings: Mapping[str, Any],
         typer.echo("no set was examined: the campaign found none with a result in every scenario")
         return
     print_columns(
-        ["rank", "degree", "delta_max", "objective", "scores", "region", "to worse", "parameters"],
+        ["rank", "degree", "delta_max", "objective", "scores", "region", "parameters"],
         [
             [
                 *(row.rank, f"{'≥ ' if row.at_least else ''}{row.degree}", f"{row.radius:.4g}"),
                 objective_number(row.objective),
                 " ".join(f"{name} {score_text(score)}" for name, score in row.scores.items()),
-                *(row.region, fixed(row.to_worse, 3), parameters_text(row.parameters, shapes=shapes)),
+                *(row.region, parameters_text(row.parameters, shapes=shapes)),
             ]
             for row in rows
         ],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import secrets
 import shutil
@@ -15,12 +14,14 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from drivecal.cluster.guard import end_with_parent
+from drivecal.cluster.machine import locked_folder
 from drivecal.cluster.members import Node, ask, check_shared_memory, check_token, members
 from drivecal.cluster.settings import OBJECT_STORE_BYTES, QUIET
 from drivecal.domain.errors import DrivecalError, UnavailableError
@@ -147,8 +148,6 @@ LONGEST_FOLDER = 40
 """Ray's sockets lie 65 characters deep, and a Unix socket's path ends at 107."""
 ANSWER_SECONDS = 1.0
 """Time limit for an answer of Ray's state store."""
-A_MOMENT = 60.0
-"""Generous time between creating a folder and locking it, s."""
 
 _LOCAL = {
     "RAY_AUTH_MODE": "token",
@@ -163,7 +162,7 @@ class Cluster:
     def __init__(self, address: str | None, cpus: int | None) -> None:
         """Starts a local Ray with `cpus` CPUs (None: all), or joins the cluster at `address`. Raises UnavailableError."""
         self.name = "the local Ray" if address is None else f"the Ray cluster at {address}"
-        self._folder: _PrivateFolder | None = None
+        self._folder: tuple[Path, int] | None = None
         self._own: OwnNode | None = None
         self._watch: ClusterWatch | None = None
         self._values: dict[bytes, bytes | None] = {}
@@ -174,7 +173,7 @@ class Cluster:
         if address is None:
             os.environ.update(_LOCAL)
             os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read once per process, so never changed
-            self._folder = _PrivateFolder()
+            self._folder = private_folder()
         elif "RAY_AUTH_MODE" not in os.environ:
             with_token = "RAY_AUTH_TOKEN" in os.environ or "RAY_AUTH_TOKEN_PATH" in os.environ
             os.environ["RAY_AUTH_MODE"] = "token" if with_token else "disabled"
@@ -194,7 +193,7 @@ class Cluster:
                             num_cpus=cpus,
                             include_dashboard=False,
                             object_store_memory=OBJECT_STORE_BYTES,
-                            _temp_dir=str(self._folder.path),
+                            _temp_dir=str(self._folder[0] / "r"),  # Ray opens it to all users
                             **job,
                         )
                 else:
@@ -260,7 +259,8 @@ class Cluster:
             self._own.close()
             self._own = None
         if self._folder is not None:
-            self._folder.remove()
+            shutil.rmtree(self._folder[0], ignore_errors=True)
+            os.close(self._folder[1])
             self._folder = None
 
     def _ask(self) -> None:
@@ -313,39 +313,9 @@ def _spare_processes_left_out() -> Iterator[None]:
             setattr(Node, name, method)
 
 
-class _PrivateFolder:
-    """A new folder for a local Ray's sockets and logs. Only this user can enter it. Folders of killed processes are removed: a living
-    process holds the lock on its folder."""
-
-    def __init__(self) -> None:
-        parent = Path(tempfile.gettempdir())
-        if len(str(parent / "drivecal-ray-abcdefgh" / "r")) > LONGEST_FOLDER:
-            parent = Path("/tmp")  # noqa: S108  # mkdtemp makes a private folder in it
-        for folder in parent.glob("drivecal-ray-*"):
-            _remove_if_left_behind(folder)
-        self._folder = Path(tempfile.mkdtemp(prefix="drivecal-ray-", dir=parent))
-        self._lock = os.open(self._folder, os.O_RDONLY)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        self.path = self._folder / "r"
-        """Ray opens it to all users; the folder around it stays private."""
-
-    def remove(self) -> None:
-        """Removes the folder with its content."""
-        shutil.rmtree(self._folder, ignore_errors=True)
-        os.close(self._lock)
-
-
-def _remove_if_left_behind(folder: Path) -> None:
-    try:
-        description = os.open(folder, os.O_RDONLY)
-    except OSError:
-        return  # another user's, or gone
-    try:
-        status = os.fstat(description)
-        if status.st_uid == os.getuid() and time.time() - status.st_ctime > A_MOMENT:
-            fcntl.flock(description, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(folder, ignore_errors=True)
-    except BlockingIOError:
-        return  # its process lives
-    finally:
-        os.close(description)
+def private_folder() -> tuple[Path, int]:
+    """Returns a new folder for a local Ray's sockets and logs, which only this user can enter, and the descriptor of its lock."""
+    parent = Path(tempfile.gettempdir())
+    if len(str(parent / "drivecal-ray-abcdefgh" / "r")) > LONGEST_FOLDER:
+        parent = Path("/tmp")  # noqa: S108  # mkdtemp makes a private folder in it
+    return locked_folder(parent, "drivecal-ray-", partial(shutil.rmtree, ignore_errors=True))

@@ -9,8 +9,10 @@ from weakref import finalize
 
 import numpy as np
 
-from drivecal.adapters.environment import let_go, locked_folder
+from drivecal.adapters.environment import let_go, sessions
+from drivecal.adapters.files import remove
 from drivecal.bundles.highway import FARTHEST, HighwayScenario, Scenario, TrafficVehicle
+from drivecal.cluster.machine import locked_folder
 from drivecal.contracts.evaluation import ReplayPlan
 from drivecal.domain.evaluations import Failure
 from drivecal.domain.roads import Floats
@@ -126,7 +128,7 @@ class TaskRunner:
         self.parameters = tuple(parameter.name for parameter in next(iter(driving_function.spaces.values())))
         """Names of the driving function's parameters in the order of `run`."""
         self._function, self._vehicle, self._evaluator = driving_function, vehicle, evaluator
-        self._folder, lock = locked_folder("drive")
+        self._folder, lock = locked_folder(sessions(), "drivecal-drive-l-", remove)
         finalize(self, let_go, self._folder, lock)
         (self._folder / NETWORK).write_bytes(scenario.network)
         self._road = road_of(scenario)

@@ -1,6 +1,6 @@
 import { expect, test } from "vitest";
 
-import { evidenceOf } from "$lib/text/evidence";
+import { evidenceOf } from "$lib/text/news";
 
 test("a verdict leads to the view with its numbers", () => {
   const leads = { front_copied: "front", predictions_validated: "checks", not_robust: "checks", noise: "evaluations", without_score: "failed runs", fails: "failed runs", at_ends: "best set", not_better: "best set", unconfirmed_failed: "ranking", scores_copied: "ranking", cancelled: "log", not_converged: "course", outlook: "course" };
