@@ -88,7 +88,7 @@ def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
         *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
         *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
         *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
-        *(fixed(group.simulations_to_converge, 0, ","), f"{fixed(group.successes, 0)} of {group.seeds}"),
+        *(fixed(group.simulations_to_converge, 0, ","), fixed(group.successes, 0) and f"{group.successes} of {group.seeds}"),
         *(objective_number(value) for value in group.after.values()),
     ]
 
