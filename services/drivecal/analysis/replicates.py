@@ -26,7 +26,7 @@ FEWEST_REPORTING = 3
 """Runs that report a best set, if the budget does not suffice for more."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
-SWEEPS = 60
+SWEEPS = 30
 """Iterations of the fit of means and effects of seeds."""
 DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
@@ -81,8 +81,6 @@ class SetStatistics:
     """Degrees of freedom of the variances."""
     spread_freedom: Floats
     """Degrees of freedom of the spreads."""
-    left: Floats
-    """Shares of the errors that are left without luck."""
     noise: float | None = None
     """Deviation of a run without the effect of its seed, over all sets; None if unknown."""
     skewness: float = 0.0
@@ -92,7 +90,7 @@ class SetStatistics:
 
     def of(self, rows: Sequence[int]) -> "SetStatistics":
         """Returns the statistics of some of the sets."""
-        names = ("counts", "means", "variances", "spreads", "freedom", "spread_freedom", "left")
+        names = ("counts", "means", "variances", "spreads", "freedom", "spread_freedom")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     @property
@@ -139,8 +137,7 @@ class SetStatistics:
         """Returns the probability that each set is better than the leader; 0 for itself."""
         from scipy.special import stdtr  # takes a part of a second
 
-        errors = self.errors * self.left
-        error = np.hypot(errors, errors[leader])
+        error = np.sqrt(self.errors**2 + self.errors[leader] ** 2)
         distance = self.means - self.means[leader]
         with np.errstate(divide="ignore", invalid="ignore"):
             result: Floats = stdtr(np.minimum(self.freedom, self.freedom[leader]), distance / error)
@@ -183,9 +180,9 @@ class SetStatistics:
         freedoms, places = np.unique(known.freedom[listed], return_inverse=True)
         # equal shares of the draws in equal shares of t
         usual = stdtrit(freedoms, (np.arange(DRAWS)[:, np.newaxis] + 0.5) / DRAWS)[:, places]
-        drawn = means + np.maximum(
-            (known.errors * known.left)[listed], 1e-12 * np.maximum(1.0, np.abs(means))
-        ) * random.permuted(usual, axis=0)
+        drawn = means + np.maximum(known.errors[listed], 1e-12 * np.maximum(1.0, np.abs(means))) * random.permuted(
+            usual, axis=0
+        )
         if self.failing is not None:
             drawn -= random.beta(failures + prior, counts + SHRINKAGE - prior, shape) * (means - lost)
         return np.bincount(sound[listed[drawn.argmax(axis=1)]], minlength=len(self.means)) / DRAWS
@@ -217,18 +214,20 @@ def _means(samples: Floats) -> SetStatistics:
     run = np.isfinite(samples)
     counts = run.sum(axis=1)
     several = counts > 1
+    effects = _effects(samples[several])
+    filled = np.where(run, samples - effects, 0.0)
+    means = filled.sum(axis=1) / counts
+    residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0)
     raw = np.where(run, samples, 0.0).sum(axis=1) / counts
     deviations = np.where(run, samples - raw[:, np.newaxis], 0.0)
-    deviations *= np.abs(deviations).max() > 1e-12 * np.abs(raw).max()  # rounding is no noise
-    effects, common = _effects(samples, raw) if deviations.any() else (np.zeros(samples.shape[1]), 0.0)
-    means = np.where(run, samples - effects, 0.0).sum(axis=1) / counts
-    residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0) if deviations.any() else deviations
     sets_by_seed = run[several].sum(axis=0)
     used, own = sets_by_seed > 0, counts - 1.0
     freedom = max(own.sum() - max(used.sum() - 1, 0), 0.0)
     if freedom < FEWEST:
         unknown, few = np.full(len(samples), np.nan), np.full(len(samples), freedom)
-        return SetStatistics(counts, means, unknown, unknown, few, few, np.ones(len(samples)))
+        return SetStatistics(counts, means, unknown, unknown, few, few)
+    if np.abs(deviations).max() <= 1e-12 * np.abs(raw).max():  # rounding is no noise
+        residuals = deviations = np.zeros_like(deviations)
     squares, spread = float((residuals**2).sum()), (deviations**2).sum() / own.sum()
     # scores with steps may be equal by chance: one further run might have been a step away
     noise = (squares + _step(samples[run]) ** 2) / (freedom + 1.0) if spread > 0 else 0.0
@@ -239,12 +238,12 @@ def _means(samples: Floats) -> SetStatistics:
     variances = np.maximum(variances, noise)
     triples = float((own * (counts - 2) / counts).sum())  # cubes of two runs cancel out
     skewness = float((deviations**3).sum() / triples / spread**1.5) if triples > 0 and spread > 0 else 0.0
+    # each seed is one draw of what it does to all sets; its estimate has noise as well
+    common = np.maximum(effects[used].var(ddof=1) - noise * (1 / sets_by_seed[used]).mean(), 0.0) if spread > 0 else 0.0
     freedoms, spreads = np.minimum(prior + own, freedom), variances + common
     share = common / np.maximum(spreads, 1e-300)
     spread_freedoms = 1 / (share**2 / (used.sum() - 1) + (1 - share) ** 2 / freedoms)  # Satterthwaite 1946
-    return SetStatistics(
-        counts, means, variances, spreads, freedoms, spread_freedoms, np.ones(len(samples)), noise**0.5, skewness
-    )
+    return SetStatistics(counts, means, variances, spreads, freedoms, spread_freedoms, noise**0.5, skewness)
 
 
 def _step(values: Floats) -> float:
@@ -256,16 +255,14 @@ def _step(values: Floats) -> float:
 def _without_luck(known: SetStatistics) -> SetStatistics:
     """Draws means to their median, each by the share of luck in it (James and Stein 1961), so that no lucky single run stands before many
     good ones. The better half tells how far sets are apart: a search asks for many bad sets, but for few that beat its best ones. Worse
-    sets move by `MOST_BAD_LUCK` errors at most (Efron and Morris 1972): the others are bad, not unlucky. `left` is the share of the
-    errors that remains in comparisons."""
+    sets move by `MOST_BAD_LUCK` errors at most (Efron and Morris 1972): the others are bad, not unlucky. Errors stay what they are."""
     middle, errors = float(np.median(known.means)), known.errors**2
     better = known.means > middle
     if not better.any():
         return known
     apart = float(((known.means[better] - middle) ** 2 - errors[better]).mean())
     luck = errors / (errors + max(apart, LEAST_APART * float(errors.max()), 1e-300))
-    means = known.means + np.minimum(luck * (middle - known.means), MOST_BAD_LUCK * known.errors)
-    return replace(known, means=means, left=np.sqrt(1 - luck))
+    return replace(known, means=known.means + np.minimum(luck * (middle - known.means), MOST_BAD_LUCK * known.errors))
 
 
 def _quantiles(samples: Floats, known: SetStatistics, level: float) -> SetStatistics:
@@ -294,32 +291,19 @@ def widening(level: float | None) -> float:
     return 1.0 if level is None else (level * (1 - level)) ** 0.5 / usual.pdf(usual.inv_cdf(level))
 
 
-def _effects(samples: Floats, raw: Floats) -> tuple[Floats, float]:
-    """Returns the effects of seeds, shape (n_seeds,), and their variance, by a model of random sets and random seeds (EM algorithm). `raw`:
-    the mean of each set.
-
-    Sets with several runs were chosen by lucky first ones: from their differences alone, luck would pass for an effect of the first seed.
-    Worse sets with a single run are bad, and say nothing of effects.
-    """
-    several = np.isfinite(samples).sum(axis=1) > 1
-    samples = samples[several | (raw >= np.median(raw))]
+def _effects(samples: Floats) -> Floats:
+    """Returns the effects of seeds on sets with several runs, of mean 0, shape (n_seeds,)."""
     run = np.isfinite(samples)
-    rows, columns, effects = run.sum(axis=1), run.sum(axis=0), np.zeros(samples.shape[1])
-    if several.sum() < 2:
-        return effects, 0.0
-    filled, sets, spread = np.where(run, samples, 0.0), np.zeros(len(samples)), float(np.var(samples[run]))
-    least = 1e-12 * spread
-    of_sets = of_seeds = noise = spread / 3
+    effects = np.zeros(samples.shape[1])
+    if len(samples) < 2:
+        return effects
+    filled, rows, columns = np.where(run, samples, 0.0), run.sum(axis=1), np.maximum(run.sum(axis=0), 1)
+    used = run.any(axis=0)
     for _ in range(SWEEPS):
-        middle = float((filled - run * (sets[:, np.newaxis] + effects)).sum() / rows.sum())
-        set_errors, errors = 1 / (rows / noise + 1 / of_sets), 1 / (columns / noise + 1 / of_seeds)
-        sets = set_errors / noise * (filled - run * (middle + effects)).sum(axis=1)
-        effects = errors / noise * (filled - run * (middle + sets[:, np.newaxis])).sum(axis=0)
-        squares = float((run * (filled - middle - sets[:, np.newaxis] - effects) ** 2).sum())
-        noise = max((squares + (rows * set_errors).sum() + (columns * errors).sum()) / rows.sum(), least)
-        of_sets = max(float((sets**2 + set_errors).mean()), least)
-        of_seeds = max(float((effects**2 + errors)[columns > 0].mean()), least)
-    return effects, of_seeds
+        means = (filled - run * effects).sum(axis=1) / rows
+        effects = (filled - run * means[:, np.newaxis]).sum(axis=0) / columns
+        effects = np.where(used, effects - effects[used].mean(), 0.0)
+    return effects
 
 
 def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -> list[int]:

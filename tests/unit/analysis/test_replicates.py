@@ -272,7 +272,7 @@ def test_intervals_of_quantiles_are_exact() -> None:
 
 def test_a_quantile_prefers_a_set_whose_runs_are_alike() -> None:
     random = np.random.default_rng(2)
-    runs = {1: 4.5 + random.normal(size=12), 2: 5.0 + 0.1 * random.normal(size=12), 3: np.array([4.9])}
+    runs = {1: 4.8 + random.normal(size=12), 2: 5.0 + 0.1 * random.normal(size=12), 3: np.array([4.9])}
     wanted = USUAL, ReplicatesSpecification(aggregate=Quantile(quantile=0.9))
     rankings = [ranked(runs, COST, each).best_first() for each in wanted]
     assert [[each.parameter_set for each in sets] for sets in rankings] == [[1, 2, 3], [2, 1, 3]]
@@ -373,7 +373,7 @@ def test_a_lucky_single_run_counts_less_than_many_good_ones() -> None:
     samples[1:5, 4:] = samples[5:, 1:] = np.nan
     samples[38, 0], samples[39, 0] = 1.0, 6.5
     means = assess(samples).means
-    assert means[39] < means[0]
+    assert means[39] < means[0] - 0.1
     assert means[38] < 2.5, "it is bad, not unlucky"
 
 
