@@ -77,16 +77,15 @@ class AskTell:
         """
         listed = list(sets)
         wanted = {_key(each): each for each in listed}
-        before = -1
+        is_silent = True
         while keys := [key for key in wanted if not self._is_answered(key)]:
-            if before in {-1, len(keys)}:  # again if none was answered: another client may have cancelled some
+            if is_silent:  # again after a wait without answers: another client may have cancelled some
                 for piece in in_pieces([{"key": key, "parameters": json.loads(_text(wanted[key]))} for key in keys]):
                     try:
                         self._weights = self._client.propose(self.campaign.id, piece).weights
                     except ConflictError as error:
                         raise SearchEndedError(str(error)) from error
-            before = len(keys)
-            self._listen()
+            is_silent = not self._listen()
         return [self._answer(_key(each)) for each in listed]
 
     def loss(self, parameters: Parameters) -> float:
@@ -105,13 +104,15 @@ class AskTell:
         """Returns the campaign when it has ended."""
         return self._client.wait(self.campaign.id)
 
-    def _listen(self) -> None:
+    def _listen(self) -> bool:
+        """Waits for answers; returns whether there were any. Raises SearchEndedError if no more will come."""
         answers = self._client.answers(self.campaign.id, after=self._last, wait=WAIT_SECONDS)
         for cell in answers.items:
             self._cells.setdefault(cell.key, {})[cell.scenario] = cell
         self._last = answers.last
         if answers.is_complete and not answers.items:
             raise SearchEndedError(f"campaign {self.campaign.id} has ended ({answers.ended_by or answers.state})")
+        return bool(answers.items)
 
     def _is_answered(self, key: str) -> bool:
         return bool(self._weights) and self._cells.get(key, {}).keys() >= self._weights.keys()
