@@ -29,7 +29,7 @@ from drivecal.domain.errors import Diagnostics, InvalidInputError, NotFoundError
 from drivecal.domain.setups import digest
 from drivecal.optimizers.built_in import EXTERNAL
 from drivecal.plugins import registry
-from drivecal.storage import campaigns, generations
+from drivecal.storage import campaigns, evaluations, generations
 from drivecal.storage.campaigns import StoredCampaign
 
 COMMON = {"population": "populations", "iterations": "iterations", "start": "start", "seed": "seeds"}
@@ -204,7 +204,7 @@ def compared(connection: Connection, tag: str) -> Comparison:
     stored = [campaign for campaign in whole if campaign.spec.get("optimizer")]
     if not stored:
         raise NotFoundError("comparison", tag)
-    is_random = any(campaign.best is not None and campaign.best.standard_error for campaign in stored)
+    is_random = any(evaluations.are_seeded(connection, campaign.sequence) for campaign in stored)
     pairs = zip(stored, _conditions(stored), strict=True)
     courses = [_course(connection, each, conditions, is_random=is_random) for each, conditions in pairs]
     sign = next((resolved_spec(campaign).goals.objectives[0].sign for campaign in stored if campaign.resolution is not None), 1)

@@ -32,7 +32,7 @@ def locked_folder(parent: Path, prefix: str, remove: Callable[[Path], None]) -> 
 
 def _remove_if_left_behind(folder: Path, remove: Callable[[Path], None]) -> None:
     with suppress(OSError):  # gone, another user's, or locked: its process lives
-        descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
         try:
             status = os.fstat(descriptor)
             if status.st_uid == os.geteuid() and time.time() - status.st_ctime > A_MOMENT:

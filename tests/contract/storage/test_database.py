@@ -23,6 +23,7 @@ from drivecal.storage.engine import server_lock
 from drivecal.storage.engine.database import PROMPT, Database
 from drivecal.storage.engine.schema import REVISION_TABLE
 from drivecal.storage.engine.tables import metadata
+from drivecal.storage.maintenance import backup
 
 
 def test_the_revisions_make_exactly_the_tables(connection: Connection) -> None:
@@ -276,6 +277,12 @@ def test_rows_cannot_point_to_rows_that_are_not_there(database: Database) -> Non
 
 
 @pytest.mark.parametrize("encoding", ["LATIN1", "SQL_ASCII"])
-def test_a_database_that_lacks_characters_is_refused(postgres_server: str, encoding: str) -> None:
+def test_a_database_that_lacks_characters_is_refused(postgres_server: str, encoding: str, tmp_path: Path) -> None:
+    target = Database.open(create_database(postgres_server, f"in_{encoding.lower()}", encoding))
     with pytest.raises(DatabaseError, match=encoding):
-        Database.open(create_database(postgres_server, f"in_{encoding.lower()}", encoding)).upgrade()
+        target.upgrade()
+    source = Database.open(f"sqlite:///{tmp_path / 'source.db'}")
+    source.upgrade()
+    backup.write(source, tmp_path / "backup.db", lambda *_: None)
+    with pytest.raises(DatabaseError, match=encoding):
+        backup.restore(tmp_path / "backup.db", target, lambda *_: None)

@@ -256,4 +256,4 @@ class RobustnessStage(StudyStage):
 
 def _is_as_good(each: EvaluatedSet, best: EvaluatedSet) -> bool:
     """Returns whether a set counts as the best one, or cannot be told from it and breaks constraints no more."""
-    return best.equals(each) or (each.is_close and each.violation <= best.violation)
+    return best.equals(each) or (each.is_close and each.choice.violation <= best.choice.violation)

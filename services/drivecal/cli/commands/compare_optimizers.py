@@ -83,12 +83,13 @@ def _print_comparison(comparison: Comparison) -> None:
 
 
 def _group_row(group: ComparedGroup, with_reduction: bool) -> list[object]:
+    good = None if group.successes is None else f"{group.successes} of {group.seeds}"
     return [
         *(group.optimizer, group.population or "-", *([group.reduction] if with_reduction else [])),
         *(objective_number(value) for value in (group.best, group.mean, group.minimum)),
         *(fixed(group.rating, 3), fixed(group.alternatives, 1, ","), fixed(group.simulations, 0, ",")),
         *(f"{group.converged} of {group.seeds}", fixed(group.iterations_to_converge, 1, ",")),
-        *(fixed(group.simulations_to_converge, 0, ","), fixed(group.successes, 0) and f"{group.successes} of {group.seeds}"),
+        *(fixed(group.simulations_to_converge, 0, ","), good),
         *(objective_number(value) for value in group.after.values()),
     ]
 

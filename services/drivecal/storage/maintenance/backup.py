@@ -329,6 +329,7 @@ def _refuse_damaged(connection: Connection, file: Path) -> None:
 
 
 def _refuse_rows(connection: Connection, name: str) -> None:
+    schema.refuse_encoding(connection, name)
     schema.refuse_foreign(connection, name)
     tables = tables_of(connection)
     foreign = sorted(table.name for table in tables if not _is_own(table))

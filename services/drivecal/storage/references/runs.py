@@ -162,10 +162,10 @@ def in_order_of_keys(
         .order_by(parameter_sets.c.key)
         .execution_options(yield_per=100)
     )
+    wanted, unwanted = ([f'"{name}": ' for name in each] for each in (names, others))  # SQLite's LIKE would ignore case
     for number, text, score, rating in connection.execute(query):
-        parameters = ParameterSet.from_json(text)
-        if set(names) <= set(parameters.names) and not set(others) & set(parameters.names):
-            yield RatedRun(number, parameters, score, rating)
+        if all(key in text for key in wanted) and not any(key in text for key in unwanted):
+            yield RatedRun(number, ParameterSet.from_json(text), score, rating)
 
 
 def rated_by(evaluator: str, setup_id: int, watermark: int, *columns: ColumnElement[Any]) -> Select[Any]:
