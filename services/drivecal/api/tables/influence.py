@@ -122,13 +122,11 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
         variations = [goal.shares[name] ** 2 * float(np.var(list(scores[name].values()))) for name in known]
         result = mean_of(list(zip(variations, known.values(), strict=True))) if sum(variations) > 0.0 else None
     if result is None or result.r2 <= 0.0:
-        few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
-        alike = (
-            "the values of nearly all sets are the same"
-            if result is None
-            else "sets tell nothing of the values of held-out ones"
-        )
-        note = few if len(own) < LEAST_SETS else alike
+        note = "the sets that were learned from tell nothing of the values of the others"
+        if len(own) < LEAST_SETS:
+            note = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
+        elif result is None:
+            note = "the values of nearly all sets are the same"
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
     figures = (each.tolist() for each in (result.mean, result.deviation, result.lower, result.upper))
     items = [
