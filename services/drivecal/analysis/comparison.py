@@ -140,7 +140,7 @@ def _group(
 ) -> ComparedGroup:
     optima = [member.optimum for member in members if member.optimum is not None]
     begun = [member for member in members if member.iterations]
-    last = [member.iterations[-1] for member in begun]
+    last = [member.iterations[-1] for member in begun if not member.is_random]
     converged = [member for member in members if member.converged_at is not None]
     return ComparedGroup(
         optimizer=optimizer,

@@ -537,7 +537,7 @@ class Ranking:
 
     def gain_over(self, parameter_set: int, *, random: bool) -> tuple[float | None, bool]:
         """Returns how much better the best set is than another one, by its id, under the seeds that report both, None without two of them,
-        and whether runs do not tell that it is (Student's test of the differences). `random`: the simulator says so."""
+        and whether runs do not tell which is better (Student's test of the differences). `random`: the simulator says so."""
         from scipy.special import stdtrit
 
         best, solution, known = self.best(), self.get(parameter_set), self._known
@@ -551,16 +551,18 @@ class Ranking:
             is_single = random and len(other) < 2 and (known is None or known.is_random or not known.is_known)
             return None, solution.is_close or is_single
         noise, freedom, usual, own = 0.0, 0.0, None, float(np.var(gains, ddof=1))
+        runs = [(seed, cells) for number in numbers for seed, cells in self._runs[number].items() if seed > self._choosing]
+        failing = {seed for seed, cells in runs if any(cell.failed for cell in cells.values())}
         if known is not None:  # failures of other sets say nothing of runs that did not fail
-            failed = any(cell.failed for number in numbers for seed in shared for cell in self._runs[number][seed].values())
-            sound = None if failed else known.sound_noise
+            sound = known.sound_noise if failing.isdisjoint(shared) else None
             usual = known.noise if sound is None else sound
         if known is not None and usual is not None:
             noise, freedom = 2 * usual**2, min(replicates.SHRINKAGE, float(known.freedom.max()))
         if own > UNUSUAL * noise:  # one of the two is noisier than others, which say nothing of it then
             noise, freedom = 0.0, 0.0
         error = (replicates.variance(gains, noise, freedom) / len(gains)) ** 0.5
-        return fmean(gains), bool(fmean(gains) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error)
+        is_close = abs(fmean(gains)) <= stdtrit(freedom + len(gains) - 1, self._wanted.confidence) * error
+        return fmean(gains), bool(is_close or (failing and failing.isdisjoint(shared)))  # the gain lacks what failures cost
 
     def beside_best(self, parameter_set: int, seeds: Collection[int] | None = None) -> tuple[EvaluatedSet, EvaluatedSet] | None:
         """Returns the best set and another one, by its id, under the seeds that both were run under: what a seed does to all sets is no
@@ -594,6 +596,5 @@ def over_seeds(cells: Sequence[CellScore]) -> CellScore:
 
 
 def _worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:
-    """Orders answers for one cell: a result counts more than none, an own one than a copy, a copy than a prediction, an earlier one than
-    a later one."""
+    """Orders answers for one cell: a result before none, an own one before a copy, a copy before a prediction, then the earlier one."""
     return answer.score is not None, answer.own, not answer.predicted, -answer.iteration, -answer.individual

@@ -341,6 +341,7 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         under = ""
         gain = (campaign.best.objective - campaign.baseline.objective) * sign_of(campaign)
     undecided = campaign.baseline.undecided or campaign.best.undecided
+    least = grain(campaign.best.objective, campaign.baseline.objective)
     fewest, most = campaign.best.failure_interval or (0.0, 0.0)
     is_mean = campaign.baseline.gain is not None and campaign.objective is None  # of a quantile few failures may cost nothing
     unseen = most if known.has_failures and fewest == 0 and is_mean else 0.0
@@ -349,7 +350,9 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     elif campaign.baseline.close:
         gained = f": a gain of {gain:.4g}{under}" if under else ""
         yield verdict("baseline_in_interval", "neutral", gained=gained)
-    elif gain <= grain(campaign.best.objective, campaign.baseline.objective):
+    elif under and -gain > least:
+        yield verdict("worse_than_baseline", "amber", loss=-gain, under=under)
+    elif gain <= least:
         yield verdict("not_better", "amber")
     elif campaign.objective is None and gain <= campaign.scale.tolerance:
         tolerance = campaign.scale.amount(campaign.scale.tolerance)

@@ -55,7 +55,7 @@ SCORES = CONFIRMED | {
     "{allowed:.1 %} of the {released:,} released ones may be: {limit:.1 %} of the {inspected:,} in lots.",
     "noise": "{unrepeatable:,} simulations gave another result than an earlier run of the same cell: scores have noise.",
     "noise_unknown": "The simulator is random, and too few sets ran under several seeds: other seeds may give other scores and another "
-    "order of sets. A larger budget, or more `replicates.most`, leaves runs to tell.",
+    "order of sets. A larger budget, or more `replicates.most`, leaves runs to tell; an optimizer of your own asks for `replicates`.",
     "failing_runs": "Failed runs of {subject}: {failures:,}; up to {most:.1 %} of further runs may fail (95 %).",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
@@ -78,6 +78,7 @@ BASELINE = {
     "failures_may_decide": "The best set is better than the baseline, by {gain:.4g}{under}; but up to {most:.1 %} of further runs may "
     "fail (95 %), and as a failed run is worth {failed:g}, that may cost more.",
     "not_better": "No set is better than the baseline.",
+    "worse_than_baseline": "The best set is worse than the baseline, by {loss:.4g}{under}: it was chosen under others.",
     "baseline_without_result": "Nothing tells whether the best set is better than the baseline, which has no objective.",
     "front_beats_baseline": "{dominating:,} of {size:,} sets of the front are better than the baseline in an objective and worse in none.",
     "front_close_to_baseline": "{dominating:,} of {size:,} sets of the front look better than the baseline; runs do not tell them apart.",

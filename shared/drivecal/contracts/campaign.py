@@ -179,7 +179,7 @@ class Best(Answer):
 
 class Baseline(Answer):
     """The user's parameter set for comparison. Null scores are still missing. `violation` is the sum of the violations, as shares;
-    `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell whether the best set is better. `gain`: the best
+    `undecided` as in `Best`. `close`: its runs, of a random simulator, do not tell which of both is better. `gain`: the best
     set's improvement on it under the seeds that report both; null without two of them. `seeds` of its scores, if there are several;
     `best_objective` and `best_scores` are the best set's under these seeds, if they report it."""
 

@@ -131,7 +131,8 @@ class ComparedGroup(Answer):
     """The campaigns of one optimizer, population size and reduction.
 
     `best`, `mean`, `minimum` (the worst: the highest of an objective to minimise): over the final optima (`simulated_best`) of its `seeds`
-    campaigns that have one; the means of iterations and simulations to convergence are over the `converged` ones.
+    campaigns that have one; the means of iterations and simulations to convergence are over the `converged` ones. Of random simulators
+    `rating`, `alternatives` and `successes` are null, and `after` is empty: during a search they are luck.
     """
 
     optimizer: str
@@ -151,7 +152,7 @@ class ComparedGroup(Answer):
     iterations_to_converge: float | None
     simulations_to_converge: float | None
     successes: int | None
-    """Campaigns whose best set is as good as the best of all; null of random simulators."""
+    """Campaigns whose best set is as good as the best of all."""
     after: dict[int, float | None] = Field(default_factory=dict)
     """Mean of the best objectives after a quarter, a half and all of the simulations that every compared campaign has made."""
 

@@ -400,6 +400,17 @@ def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reporte
     assert ranking.gain_over(0, random=True) == (None, False)
 
 
+@pytest.mark.parametrize("gain", [1.0, -1.0])
+def test_failures_that_only_one_of_two_sets_met_leave_open_which_is_better(gain: float) -> None:
+    """The best set was chosen under the first seed."""
+    ranking = by_score({"S1": 1}, COMFORT, ReplicatesSpecification(most=20))
+    for place, seeds in ((0, (1, 13, 14, 15, 16)), (1, (1, 13, 14, 15))):
+        ranking.add(one_run(place, seed, 5.0 - place * (gain if seed > 1 else 2.0) + seed / 64) for seed in seeds)
+    assert ranking.gain_over(1, random=True) == (gain, False)
+    ranking.add([one_run(0, 17, 1.0, failed=True)])
+    assert ranking.gain_over(1, random=True) == (gain, True)
+
+
 RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)
 """At most a tenth of the runs has a gap below 0: 22 runs without one show it."""
 

@@ -212,6 +212,8 @@ def test_a_gain_that_unseen_failures_may_cost_is_not_known(most: float, fails: b
         (8.0, {"baseline": before(8.0, close=True)}, "baseline_in_interval"),
         (4.0, {"baseline": before(4.0, close=True)}, "baseline_in_interval"),
         (8.0, {"baseline": before(8.0).model_copy(update={"gain": 3.0})}, "better_than_baseline"),
+        (4.0, {"baseline": before(4.0).model_copy(update={"gain": -3.0})}, "worse_than_baseline"),
+        (4.0, {"baseline": before(4.0).model_copy(update={"gain": 0.0})}, "not_better"),
         (5.5, {}, "alike_baseline"),
         (4.0, {"scale": COST}, "not_better"),
         (7.0, {"scale": COST}, "alike_baseline"),

@@ -74,9 +74,10 @@ def _print_comparison(comparison: Comparison) -> None:
     header += ["simulations", "converged", "iterations", "simulations until then", "as good as any"]
     header += [f"after {mark:,}" for mark in comparison.groups[0].after] if comparison.groups else []
     print_columns(header, [_group_row(group, several) for group in comparison.groups])
+    has_marks = any(group.after for group in comparison.groups)
     typer.echo(
         "Over the seeds. Simulations are those that each campaign needs alone; it has converged when its best stays for 10 iterations."
-        " `after N`: the mean best objective at equal simulations."
+        + (" `after N`: the mean best objective at equal simulations." if has_marks else "")
     )
     if several:
         typer.echo("Objectives are of sets that were simulated whole: a search prefers sets that references make too good.")

@@ -177,7 +177,7 @@ def export(
         with _whole_or_not_at_all(Path(output)) as stream:
             for piece in pieces:
                 size += stream.write(piece)
-    say(f"{output}: {size:,} bytes")
+    say(f"{output}: {f'set {row or 1} of ' if is_single else ''}{table}, {size:,} bytes")
 
 
 def _format_of(output: str) -> Format:

@@ -170,8 +170,8 @@ def _detail(campaign: Campaign) -> str:
     cells = campaign.stages.get(campaign.stage or "", campaign.cells)
     parts = [f"{name} {count:,}" for name, count in by_outcome(cells).items() if count]
     if campaign.best:
-        seeds = f" by {campaign.best.replicates} seeds" if campaign.best.standard_error is not None else ""
-        parts.append(f"best {judged_text(campaign.best)}{seeds}")
+        has_several = campaign.best.standard_error is not None and campaign.state == "running"  # in the end some report it
+        parts.append(f"best {judged_text(campaign.best)}{f' by {campaign.best.replicates} seeds' if has_several else ''}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
     if campaign.degraded:

@@ -62,7 +62,7 @@ export function betterSince(known: readonly Campaign[], since: number): Better[]
     if (!now?.best || typeof before?.objective !== "number" || gained === null || changeOf(gained, now.objective ? 0 : now.scale.tolerance) !== "better") return [];
     // Runs of a random simulator may leave open which set is better.
     const [end, other] = minimised ? [now.best.upper, old?.best?.lower] : [now.best.lower, old?.best?.upper];
-    if (old ? (gain(end, other, minimised) ?? 1) <= 0 : now.baseline?.close || ((now.best.replicates ?? 1) > 1 && now.baseline?.gain === null)) return [];
+    if (old ? (gain(end, other, minimised) ?? 1) <= 0 : now.baseline?.close || ((now.best.replicates ?? 1) > 1 && (now.baseline?.gain ?? 0) <= 0)) return [];
     const gains = Object.entries(now.best.scores).map(([name, score]) => ({ name, by: gain(score, before.scores[name], now.scale.direction === "minimise") ?? 0 }));
     return [{ campaign: now, before: before.objective, of: old ?? null, scenario: gains.sort((a, b) => b.by - a.by)[0]?.name ?? "" }];
   });
