@@ -39,7 +39,7 @@ export class CampaignState {
     });
     // The answer's tag makes this cheap; it is there for what no event tells, such as audits, and notices that the server is away.
     const tick = setInterval(() => {
-      if (!document.hidden) this.soon(0);
+      if (!document.hidden && this.problem?.status !== 404) this.soon(0);
     }, 5_000);
     return () => {
       leave();
@@ -125,7 +125,7 @@ function follow(campaign: string, follower: Follower): () => void {
     let ended = false;
     try {
       const answer = await fetch(address, { signal: own.signal, headers: newest > 0 ? { "Last-Event-ID": String(newest) } : {} });
-      ended = answer.status === 204;
+      ended = [204, 404].includes(answer.status);
       if (answer.status === 200 && answer.body !== null) await read(answer.body, take);
     } catch {
       // left, or the server is away: other requests tell
