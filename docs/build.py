@@ -43,6 +43,24 @@ UNSEARCHED = "---\nsearch:\n  exclude: true\n---\n"
 SECONDS = 180
 _LINK = re.compile(r"(!?)\[((?:[^\[\]]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 _FENCED = re.compile(r"(^```.*?^```|`[^`\n]+`)", re.MULTILINE | re.DOTALL)
+_SMALL_WORDS = (
+    "a an and are as at be by can could do does for from get give given handle has have how i if in into is it its may me must my need "
+    "of on only or our should that the their them there this to us use was we what when where who will with would you your"
+)
+_SEARCH = (
+    (
+        re.compile(r'(\w+)\((\w+),"and",(\w+)=>\('),
+        rf'\1(\2,self.anyWord?"or":"and",\3=>" {_SMALL_WORDS} ".includes(` ${{\3.value.toLowerCase()}} `)?void 0:(',
+    ),
+    (
+        re.compile(r'let (\w+)=(\w+)\(\{type:"text",data:(\w+\.data)\}\)'),
+        (
+            r'self.anyWord=!1;let \1=\2({type:"text",data:{...\3}});'
+            r'if(!\1.data.items.length){self.anyWord=!0;\1=\2({type:"text",data:\3})}'
+        ),
+    ),
+)
+"""In the search of the theme, the place that demands every typed word and the place that answers, each with what replaces it."""
 _INLINE = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 
@@ -149,6 +167,18 @@ def without_inline_scripts(site: Path) -> None:
         page.write_text(_INLINE.sub(moved, text), encoding="utf-8")
 
 
+def searching_by_any_word(site: Path) -> None:
+    """Lets the search find sections with some of the typed words if none has all, those with most of them first: a question in a reader's
+    own words. Words of no meaning, such as "how", do not count. Raises DocumentationError."""
+    (script,) = site.glob("assets/javascripts/workers/search.*.js")
+    text = script.read_text(encoding="utf-8")
+    for pattern, instead in _SEARCH:
+        text, count = pattern.subn(instead, text)
+        if count != 1:
+            raise DocumentationError(f"{script.name} has {count} times {pattern.pattern}; zensical 0.0.73 has it once")
+    script.write_text(text, encoding="utf-8")
+
+
 def build_into(target: Path) -> None:
     """Builds the site into `target`, which it replaces. Raises DocumentationError."""
     if find_spec("zensical") is None:
@@ -168,6 +198,7 @@ def build_into(target: Path) -> None:
             said = re.sub(r"\x1b\[[0-9;]*m", "", ran.stdout + ran.stderr)
             raise DocumentationError(said.partition("Traceback")[0].strip())
         without_inline_scripts(folder / "site")
+        searching_by_any_word(folder / "site")
         (folder / "site" / "sitemap.xml").unlink(missing_ok=True)
         shutil.rmtree(target, ignore_errors=True)
         shutil.copytree(folder / "site", target)

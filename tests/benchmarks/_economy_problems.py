@@ -271,9 +271,16 @@ PROBLEMS: Mapping[str, Callable[[], EconomyProblem]] = {
 }
 
 
+OTHERS: Mapping[str, Callable[[], EconomyProblem]] = {
+    "random_motorway": lambda: motorway(random=True),
+    "choices": choices,
+    "emergency_brake": lambda: of_folder(HERE / "emergency_brake", in_python),  # as in the tutorial
+}
+"""Problems that are no part of the usual table."""
+
+
 @cache
 def problem(name: str, folder: Path | None = None) -> EconomyProblem:
-    """Returns a problem of `PROBLEMS`, `random_motorway` or `choices`, with its answers stored in a folder."""
-    others: Mapping[str, Callable[[], EconomyProblem]] = {"random_motorway": lambda: motorway(random=True), "choices": choices}
-    made = {**PROBLEMS, **others}[name]()
+    """Returns a problem of `PROBLEMS` or `OTHERS`, with its answers stored in a folder."""
+    made = {**PROBLEMS, **OTHERS}[name]()
     return made if folder is None else replace(made, stored=folder / f"{name}.jsonl")

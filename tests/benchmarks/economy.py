@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata, wilcoxon
-from tests.benchmarks._economy_problems import PROBLEMS, EconomyProblem, problem
+from tests.benchmarks._economy_problems import OTHERS, PROBLEMS, EconomyProblem, problem
 
 from drivecal.analysis.convergence import expected_gain
 from drivecal.campaigns.stages.asking import WINDOW, room_for
@@ -317,7 +317,7 @@ def p_value(differences: Any) -> str:
 def main(arguments: Sequence[str]) -> int:
     """Prints the table; 1 if an optimizer is significantly better than `surrogate`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS))
+    parser.add_argument("--problems", nargs="+", choices=[*PROBLEMS, *OTHERS], default=list(PROBLEMS))
     parser.add_argument("--arms", nargs="+", choices=list(ARMS), default=[arm for arm in ARMS if "x" not in arm])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--cells", type=int, default=BUDGETS[1])

@@ -44,6 +44,11 @@ QUESTIONS = {
     "cancel campaign": "How do I stop or cancel",
     "drag a folder": "How do I upload a problem?",
     "add a machine": "How do I add a machine",
+    "How do I handle licences?": "Licences and other scarce things",
+    "How do I move the database to another machine?": "How do I move or copy the database?",
+    "How do I add a parameter and what does it cost?": "May I add a scenario or a parameter?",
+    "What does our Jenkins call?": "What do I call from CI",
+    "stochastic": "What if my simulation is random?",
 }
 """Words that readers type, and the heading that the search should find first."""
 

@@ -180,6 +180,6 @@ def push_a_folder(page: Page, api: RunningApi, folder: Path) -> None:
         (folder / "problem.yaml").write_text(text)
         give(page, folder)
         page.get_by_label("Your token again").fill(TOKEN[::-1])
-        page.get_by_role("button", name="Check and push").click()
+        page.get_by_role("button", name="Push", exact=True).click()
         expect(page.get_by_role("main")).to_contain_text(re.compile(said))
     assert folder_digest(folder) in api.http.get("/api/v1/problems/mine", headers={"Authorization": f"Bearer {TOKEN}"}).text

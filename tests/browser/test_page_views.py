@@ -202,6 +202,8 @@ def test_what_matters_is_told_once_with_the_reason_of_a_disagreement(shown: Show
         expect(rows.nth(place)).to_contain_text(re.compile(rf"^{item['parameter']}( / \S+?)?{told(item['importance'])}"))
     first, second = (item["parameter"] for item in said["items"][:2])
     expect(page.get_by_role("img", name=re.compile(f"^{second}.* over {first}.* points$"))).to_be_visible()
+    expect(page.get_by_role("img", name=re.compile(f"^objective along {first}.* through the best set"))).to_be_visible()
+    expect(page.get_by_role("img", name=re.compile("^Scores by scenario: S1: median"))).to_be_visible()
     assert barriers_everywhere(page) == []
     page.route(re.compile("/influence"), lambda route: opposite(route, said["items"][0]["parameter"]))
     page.reload()

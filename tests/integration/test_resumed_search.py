@@ -1,4 +1,4 @@
-"""Searches that another process resumes: a replay that proposes otherwise, and what other writers notice of a restore."""
+"""Searches that another process resumes: what other writers notice of a restore."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +11,14 @@ from tests.support.runs import dispatcher, finish, get, submit
 from drivecal.dispatch.heartbeat import Leadership
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.errors import SupersededError
-from drivecal.optimizers.cma_es import CMA_ES, CmaEs
+from drivecal.optimizers.built_in import SWARM
+from drivecal.optimizers.swarm import ParticleSwarm
 from drivecal.storage import campaigns
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database, Patience
 from drivecal.storage.engine.tables import evaluations, generations
 
-SEARCH = {"kind": "cma_es", "population": 8, "iterations": 6, "seed": 3}
+SEARCH = {"kind": "swarm", "population": 8, "iterations": 6, "seed": 3}
 IMPATIENT = Patience(lock=0.05, connect=1, statement=None)
 
 
@@ -42,20 +43,20 @@ def _begun(database: Database, iterations: int) -> StoredCampaign:
 def _while_restoring(monkeypatch: pytest.MonkeyPatch, act: Callable[[], object]) -> None:
     """Calls `act` whenever the optimizer is created, restored or told something."""
     for name in ("create", "restore"):
-        original = getattr(CMA_ES, name)
+        original = getattr(SWARM, name)
 
         def wrapped(*arguments: Any, original: Callable[..., Any] = original) -> Any:
             act()
             return original(*arguments)
 
-        monkeypatch.setattr(CMA_ES, name, wrapped)
-    learn = CmaEs.tell
+        monkeypatch.setattr(SWARM, name, wrapped)
+    learn = ParticleSwarm.tell
 
     def learning(*arguments: Any) -> None:
         act()
         learn(*arguments)
 
-    monkeypatch.setattr(CmaEs, "tell", learning)
+    monkeypatch.setattr(ParticleSwarm, "tell", learning)
 
 
 @pytest.mark.slow

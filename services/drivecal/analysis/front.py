@@ -109,21 +109,7 @@ def winning_weights(points: Floats) -> list[WinningWeights] | None:
     if points.shape[1] > MOST_EXACT or (points.shape[1] == MOST_EXACT and len(points) > MOST_WINNING):
         return None
     shares = scaled(points)
-    region = _interval if points.shape[1] == 2 else _region
-    return [region(shares, place) for place in range(len(points))]
-
-
-def _interval(shares: Floats, place: int) -> WinningWeights:
-    """Cuts the interval of the first of two weights by all rivals at once."""
-    first, second = (shares[place] - shares).T
-    rises, falls = (first > 0) & (second < 0), (first < 0) & (second > 0)
-    lower = float((second[rises] / (second[rises] - first[rises])).max(initial=0.0))
-    upper = float((second[falls] / (second[falls] - first[falls])).min(initial=1.0))
-    beaten = ((first < -FLAT) & (second <= 0)) | ((second < -FLAT) & (first <= 0))
-    if lower > upper + FLAT or bool(beaten.any()):
-        return WinningWeights((), 0.0)
-    corners = ((upper, 1 - upper), (lower, 1 - lower)) if upper - lower > FLAT else ((lower, 1 - lower),)
-    return WinningWeights(corners, max(0.0, upper - lower))
+    return [_region(shares, place) for place in range(len(points))]
 
 
 def _region(shares: Floats, place: int) -> WinningWeights:

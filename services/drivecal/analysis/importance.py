@@ -1,6 +1,6 @@
 """Importance of parameters for a score, by permutation on held-out sets (Breiman 2001; Fisher, Rudin and Dominici 2019)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,13 +23,12 @@ RESAMPLED = 1_000
 @dataclass(frozen=True, slots=True)
 class Importances:
     """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: the total effect of an independent parameter
-    as a share of their variation (Jansen 1999), where the forest predicts them. `mean` and `deviation`, shape (n_parameters,), are over the
+    as a share of their variation (Jansen 1999), where the forest predicts them. `mean`, shape (n_parameters,), is over the
     repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets; `upper` holds
     UNEXPLAINED as well. `r2` is R² without shuffling: 1 if the forest predicts the held-out sets exactly, 0 if no better than their mean.
     `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
-    deviation: Floats
     lower: Floats
     upper: Floats
     r2: float
@@ -37,7 +36,7 @@ class Importances:
     held_out: int
 
 
-def importances(features: Floats, values: Floats, seed: int = 0) -> Importances | None:
+def importances(features: Floats, values: Floats) -> Importances | None:
     """Returns the importance of each of the `features`, shape (n, n_parameters), for `values`, shape (n,); None if there are fewer than
     LEAST_SETS sets or their values are all the same. The same arguments give the same answer."""
     if len(values) < LEAST_SETS:
@@ -46,11 +45,11 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
 
     chosen = np.unique(np.linspace(0, len(values) - 1, min(len(values), MOST_SETS)).astype(np.int64))
     features, values = _shares(features[chosen]), _shares(values[chosen, np.newaxis])[:, 0]
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(0)
     judged, learned = np.split(generator.permutation(len(values)), [round(HELD_OUT * len(values))])
     if np.ptp(values[judged]) == 0 or np.ptp(values[learned]) == 0:
         return None
-    forest = ExtraTreesRegressor(TREES, min_samples_leaf=2, random_state=seed, n_jobs=1)
+    forest = ExtraTreesRegressor(TREES, min_samples_leaf=2, random_state=0, n_jobs=1)
     forest.fit(features[learned], values[learned])
     own = forest.predict(features[judged])
     undisturbed = float(_r2(own[np.newaxis], values[judged])[0])
@@ -63,28 +62,15 @@ def importances(features: Floats, values: Floats, seed: int = 0) -> Importances 
         added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
     ends = _interval(added, values[judged], generator) + np.array([[0.0], [UNEXPLAINED * (1.0 - max(undisturbed, 0.0))]])
     lower, upper = np.minimum(ends, 1.0)  # no share is more than all
-    return Importances(losses.mean(axis=1), losses.std(axis=1), lower, upper, undisturbed, len(values), len(judged))
+    return Importances(losses.mean(axis=1), lower, upper, undisturbed, len(values), len(judged))
 
 
 def mean_of(parts: Sequence[tuple[float, Importances]]) -> Importances:
-    """Returns the mean of the importances for several values with positive weights. Errors of the parts count as independent."""
-    total = sum(weight for weight, _ in parts)
-    shares, known = [weight / total for weight, _ in parts], [part for _, part in parts]
-
-    def joint(errors: Iterable[Floats]) -> Floats:
-        squares: Floats = np.sum([(share * error) ** 2 for share, error in zip(shares, errors, strict=True)], axis=0)
-        return np.sqrt(squares)
-
-    mean = np.average([part.mean for part in known], axis=0, weights=shares)
-    return Importances(
-        mean,
-        joint(part.deviation for part in known),
-        mean - joint(part.mean - part.lower for part in known),
-        mean + joint(part.upper - part.mean for part in known),
-        float(np.average([part.r2 for part in known], weights=shares)),
-        max(part.sets for part in known),
-        max(part.held_out for part in known),
-    )
+    """Returns the mean of the importances for several values with positive weights. Their errors are alike: parts share their sets."""
+    weights, known = zip(*parts, strict=True)
+    names = ("mean", "lower", "upper", "r2")
+    figures = {name: np.average([getattr(part, name) for part in known], axis=0, weights=weights) for name in names}
+    return Importances(**figures, sets=max(part.sets for part in known), held_out=max(part.held_out for part in known))
 
 
 def _interval(added: Floats, values: Floats, generator: np.random.Generator) -> tuple[Floats, Floats]:

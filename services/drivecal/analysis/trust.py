@@ -429,7 +429,7 @@ def _ended(campaign: Campaign, course: Course, *, is_random: bool) -> Iterator[R
         whole = min(abs(known[-1] - known[0]), abs(known[-1] - median(usual)) if usual else inf)
         if not stood and gain <= max(tolerance, LITTLE * whole) and whole > 0:
             light = "green"
-        yield verdict("outlook", light, gain=gain, record=RECORD)
+        yield verdict("outlook", light, gain=gain, record=RECORD) if gain or whole else verdict("no_outlook_still", light)
 
 
 def _convergence(course: Course) -> Iterator[ResultVerdict]:

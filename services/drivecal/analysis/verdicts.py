@@ -93,9 +93,9 @@ SEARCH = {
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
     "ended": "The search ended by its {by}; the best objective last changed after {share:.0 %} of its rounds.",
-    "outlook": "A campaign with twice the budget, which begins with these results, would probably improve the best objective by at most "
-    "{gain:.3g}, the most that one of its last three doublings brought: in the benchmark, with new searches of deterministic "
-    "simulators, {record:.0 %} of such estimates held.",
+    "outlook": "Twice the budget would probably improve the best objective by at most {gain:.3g}, the most that one of the search's last "
+    "three doublings brought; {record:.0 %} of such estimates held in the benchmark, of new searches of deterministic simulators.",
+    "no_outlook_still": "What more simulations would bring is not known: no later set was better than the first ones.",
     "no_outlook": "What twice the budget would bring is not known: there is no record for less than {least} simulations, and this search "
     "has {simulations:,}.",
     "no_outlook_stored": "What twice the budget would bring is not known: there is a record for new searches alone, and {stored:,} of "

@@ -18,8 +18,6 @@ from drivecal.reduction.prediction import Bools, Floats, Predictions, Predictor
 
 SEED = 0
 TREES = 50
-FEATURES = None
-"""Features that each split considers: all of them, because few parameters matter in a scenario."""
 MOST_CLASSES = 100
 """Largest number of scores of a scale that are classes."""
 STEPS = 2.0**18
@@ -50,7 +48,7 @@ class BaggedTrees:
         with sklearn.config_context(skip_parameter_validation=True):
             for _ in range(TREES):
                 drawn.append(np.bincount(random.integers(len(points), size=len(points)), minlength=len(points)))
-                tree = ExtraTreeRegressor(max_features=FEATURES, random_state=int(random.integers(2**31)))
+                tree = ExtraTreeRegressor(random_state=int(random.integers(2**31)))
                 tree.fit(points, steps[:, None], sample_weight=drawn[-1].astype(np.float64), check_input=False)
                 leaves.append(tree.tree_.apply(points))
                 self._trees.append(tree)

@@ -28,8 +28,7 @@ from drivecal.storage import leases
 from drivecal.storage.engine.bulk import execute_rows, numbers, rows_among
 from drivecal.storage.engine.tables import campaigns, evaluations, ratings, runs
 from drivecal.storage.references import metrics
-from drivecal.storage.references.runs import metrics as metrics_of_runs
-from drivecal.storage.references.runs import occupying
+from drivecal.storage.references.runs import occupying, values_of
 
 HAS_SEED = evaluations.c.seed > 0
 RUN_SEED = case((HAS_SEED, evaluations.c.seed), else_=1)
@@ -115,8 +114,8 @@ def store(connection: Connection, column: str, values: Mapping[int, Any]) -> Non
 
 def measured(connection: Connection, cells: Mapping[int, int | None]) -> dict[int, dict[str, float | None]]:
     """Returns the measures of cells by id: of their own runs, or of the runs that answered them. `cells` has the ids of these runs."""
-    answering = metrics_of_runs(connection, [run for run in cells.values() if run is not None])
-    known = {cell: answering[run] for cell, run in cells.items() if run in answering}
+    answering = values_of(connection, [run for run in cells.values() if run is not None])
+    known = {cell: answering[run][0] for cell, run in cells.items() if run in answering}
     query = select(evaluations.c.id, evaluations.c.metrics).where(evaluations.c.metrics.is_not(None))
     return known | {row.id: row.metrics for row in rows_among(connection, query, evaluations.c.id, sorted(cells))}
 

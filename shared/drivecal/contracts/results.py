@@ -135,13 +135,12 @@ class ResultTrust(Answer):
 
 class ParameterImportance(Answer):
     """Half of what R² on held-out sets loses when the values of a parameter are shuffled among them: its total effect as a share of the
-    variation. `deviation`: over repetitions. About 0: the score does not depend on it in these sets; below 0: nothing but chance. `lower`,
+    variation. About 0: the score does not depend on it in these sets; below 0: nothing but chance. `lower`,
     `upper`: 95 % interval over the choice of the held-out sets, for this forest; `upper` holds an eighth of what it does not explain, too;
     another search visits other sets, and may weigh parameters otherwise."""
 
     parameter: str
     importance: float
-    deviation: float
     lower: float
     upper: float
 

@@ -79,7 +79,7 @@ def test_a_repeat_with_measures_that_were_declared_since_agrees(connection: Conn
     (stored,) = runs.insert_results(connection, [one])
     more = replace(one, metrics={**one.metrics, "gap_m": 2.0})
     assert runs.insert_results(connection, [more, one]) == [replace(stored, is_whole=False), stored]
-    assert runs.metrics(connection, [stored.id]) == {stored.id: one.metrics}, "the first result of a cell stays"
+    assert runs.values_of(connection, [stored.id]) == {stored.id: (one.metrics, None)}, "the first result of a cell stays"
 
 
 def test_two_results_of_one_cell_in_one_batch_are_stored_once(connection: Connection) -> None:
@@ -138,7 +138,7 @@ def test_metrics_without_a_number_are_stored_as_null_and_agree_with_themselves(c
     [stored] = runs.insert_results(connection, [odd])
     assert stored.agrees
     assert runs.insert_results(connection, [odd])[0].agrees
-    assert runs.metrics(connection, [stored.id]) == {stored.id: {"peak": None, "other": None}}
+    assert runs.values_of(connection, [stored.id]) == {stored.id: ({"peak": None, "other": None}, None)}
 
 
 NUMBERS = {"peak_mps2": 0.1 + 0.2, "offset_m": -0.0, "missing": float("nan")}

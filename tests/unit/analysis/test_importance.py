@@ -34,17 +34,14 @@ def test_an_interval_leaves_out_samples_in_which_no_value_differs() -> None:
     assert result.upper.max() <= 1
 
 
-def test_a_mean_of_importances_takes_their_errors_for_independent() -> None:
-    mean, deviation, lower, upper = np.array(
-        [[[0.5, 0.1], [0.1, 0.9]], [[0.3, 0], [0.4, 0.4]], [[0.2, 0.1], [0.1, 0.5]], [[0.9, 0.1], [0.1, 1.2]]]
-    )
-    first = Importances(mean[0], deviation[0], lower[0], upper[0], r2=0.9, sets=90, held_out=30)
-    second = Importances(mean[1], deviation[1], lower[1], upper[1], r2=0.5, sets=60, held_out=20)
+def test_a_mean_of_importances_takes_their_errors_for_alike() -> None:
+    mean, lower, upper = np.array([[[0.5, 0.1], [0.1, 0.9]], [[0.2, 0.1], [0.1, 0.5]], [[0.9, 0.1], [0.1, 1.2]]])
+    first = Importances(mean[0], lower[0], upper[0], r2=0.9, sets=90, held_out=30)
+    second = Importances(mean[1], lower[1], upper[1], r2=0.5, sets=60, held_out=20)
     result = mean_of([(3.0, first), (1.0, second)])
     assert result.mean == pytest.approx([0.4, 0.3])
-    assert result.deviation == pytest.approx([np.hypot(0.225, 0.1), 0.1])
-    assert result.lower == pytest.approx([0.4 - 0.225, 0.3 - 0.1])
-    assert result.upper == pytest.approx([0.4 + 0.3, 0.3 + 0.075])
+    assert result.lower == pytest.approx([0.175, 0.2])
+    assert result.upper == pytest.approx([0.7, 0.375])
     assert result.r2 == pytest.approx(0.8)
     assert (result.sets, result.held_out) == (90, 30)
 

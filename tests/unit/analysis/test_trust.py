@@ -296,7 +296,7 @@ def test_a_campaign_without_a_search_has_no_answers() -> None:
         ([4.0, *[6.0] * 8], 200, 0.0, "green"),
         ([4.0, *[6.0] * 8], 98, None, "amber"),
         ([None, *[5.0] * 3, *[7.5] * 4, 8.0], 200, 2.5, "amber"),
-        ([4.0, 4.0, 4.0], 200, 0.0, "amber"),
+        ([4.0, 4.0, 4.0], 200, None, "amber"),
         ([None, None, 5.5, 6.0], 200, None, None),
         ([6.0], 200, None, None),
     ],

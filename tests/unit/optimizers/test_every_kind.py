@@ -15,14 +15,13 @@ from drivecal.analysis.aims import JudgedGoals
 from drivecal.analysis.goals import Aggregate, CellValue, Goals, Objective
 from drivecal.domain.parameters import Indices, Kind
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM
-from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.genetic import BitEncoding
 from drivecal.optimizers.repair import RepairingOptimizer, checked_proposal
 from drivecal.optimizers.surrogate.plugin import SURROGATE, SurrogateSettings
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin
 from drivecal.plugins.search import CellAnswer
 
-POPULATIONS: dict[str, OptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM, "cma_es": CMA_ES}
+POPULATIONS: dict[str, OptimizerPlugin] = {"genetic": GENETIC, "random": RANDOM, "swarm": SWARM}
 GRID: Kind = "grid"
 searches = given(
     sizes=st.sampled_from([[101], [2], [2, 2], [3, 50]]),
@@ -91,7 +90,7 @@ KINDS: tuple[Kind, ...] = ("continuous", "continuous", "choice", "choice", "inte
 TARGET = np.array([0.31, 0.77, 1, 0.5, 0.2])
 START = np.array([[2 * 10**15, 123_456_789, 1, 3, 17], [1_999_999_999_999_999, 0, 0, 6, 200]])
 
-every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM, CMA_ES], ids=lambda plugin: plugin.name)
+every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
 
 
 def closeness(population: Indices) -> Floats:

@@ -1,8 +1,6 @@
-"""Promises of every optimizer, of optimizers that replace sets, of the genetic algorithm, and of CMA-ES, whose answers are replayed."""
+"""Promises of every optimizer, of optimizers that replace sets, and of the genetic algorithm."""
 
-import importlib
 import json
-import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,16 +16,14 @@ from tests.support.effort import examples
 from drivecal.domain.errors import InvalidInputError
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.built_in import GENETIC, RANDOM, SWARM, GeneticSettings, RandomSettings
-from drivecal.optimizers.cma_es import CMA_ES
 from drivecal.optimizers.population import ranking
 from drivecal.optimizers.repair import checked_proposal
-from drivecal.plugins import registry
 from drivecal.plugins.ports import Floats, Optimizer, OptimizerPlugin, Proposal
 
 SMALL = np.array([5, 16, 3, 40])
 
 Told = list[tuple[Indices, npt.NDArray[np.bool_]]]
-every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM, CMA_ES], ids=lambda plugin: plugin.name)
+every = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
 unreplayed = pytest.mark.parametrize("plugin", [GENETIC, RANDOM, SWARM], ids=lambda plugin: plugin.name)
 replacing = pytest.mark.parametrize("plugin", [GENETIC, RANDOM], ids=lambda plugin: plugin.name)
 
@@ -234,42 +230,3 @@ def test_an_impossible_proposal_is_refused_by_its_plug_in(population: Any, chang
 def test_a_proposal_may_keep_individuals() -> None:
     proposal = Proposal(GOOD, SOME)
     assert checked_proposal("mine", proposal, 3, np.array([5, 4]), GOOD) is proposal
-
-
-SETTINGS = CMA_ES.settings(population=12)
-
-
-@pytest.mark.parametrize("since", [0, 1, 2, 3])
-@pytest.mark.parametrize("asked", [False, True])
-def test_a_refused_replay_names_the_first_iteration_that_differs(since: int, asked: bool) -> None:
-    saved = CMA_ES.create(SETTINGS, SMALL)
-    drive(saved, 3, patchy)
-    if asked:
-        saved.ask()
-    state = saved.state()
-    digests = [digest if place < since else "other" for place, digest in enumerate(state["digests"])]
-    changed = state | {"library": "cma 1.0", "digests": digests}
-    if digests == state["digests"]:
-        CMA_ES.restore(SETTINGS, SMALL, changed)
-        return
-    with pytest.raises(InvalidInputError, match=rf"iteration {since}, {state['library']} proposes .* than cma 1.0 did; submit"):
-        CMA_ES.restore(SETTINGS, SMALL, changed)
-
-
-def test_a_strategy_that_draws_otherwise_is_refused() -> None:
-    saved = CMA_ES.create(SETTINGS, SMALL)
-    drive(saved, 3, patchy)
-    with pytest.raises(InvalidInputError, match=r"iteration 1, .* than it did when the campaign ran"):
-        CMA_ES.restore(CMA_ES.settings(population=12, seed=8), SMALL, saved.state())
-
-
-def test_one_whose_library_is_missing_says_which_extra_brings_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "drivecal.optimizers.cma_es"
-    registry._load.cache_clear()
-    monkeypatch.delitem(sys.modules, module)
-    with monkeypatch.context() as patched:
-        patched.setattr("importlib.util.find_spec", lambda _: None)
-        with pytest.raises(InvalidInputError, match=r"\[cma\]"):
-            registry.optimizer("cma_es")
-    importlib.import_module(module)
-    assert registry.optimizer("cma_es").name == "cma_es"

@@ -166,6 +166,29 @@ def test_failures_are_a_class_of_their_own() -> None:
     assert draws[0, others[:, 0] < 0.6, 0].max() < 10
 
 
+def test_sets_under_way_that_may_fail_count_as_failed_for_the_next_ones() -> None:
+    features = drawn(40, 3)[0]
+    failed = features[:, 0] > 0.6
+    model, asked = scenario_model(), ENCODING(np.array([[50, 20, 1], [10, 20, 1]]))
+    model.learn(under(features), np.where(failed, 100.0, 5.0)[:, np.newaxis], failed, under(asked))
+    before, after = (model.predict(asked, pending=pending).failing for pending in (False, True))
+    assert before[0] < 0.5 < after[0]
+    assert after[1] < 0.3
+    model.learn(under(features[failed]), np.full((failed.sum(), 1), 100.0), np.ones(failed.sum(), dtype=np.bool_), under(asked))
+    before, after = (model.predict(asked, pending=pending).failing for pending in (False, True))
+    assert (after > before).all()
+
+
+def test_limited_measures_that_blow_up_to_either_side_hide_no_differences() -> None:
+    model = ScenarioModel(1, 3, ENCODING.owners, np.array([np.nan]), np.array([np.nan]))
+    features, targets = drawn(80, 3)
+    values = targets + np.where(features[:, 0] > 0.8, 1e15, np.where(features[:, 0] < 0.2, -1e15, 0.0))
+    model.learn(under(features), values[:, np.newaxis], np.zeros(80, dtype=np.bool_), NONE)
+    others, truth = drawn(200, 4)
+    near = np.abs(others[:, 0] - 0.5) < 0.2
+    assert np.corrcoef(model.predict(others[near], pending=False).means[:, 0], truth[near])[0, 1] > 0.4
+
+
 def test_rare_sound_answers_are_not_forgotten() -> None:
     features, failed = drawn(MOST + 120, 5)[0] / 20, np.ones(MOST + 120, dtype=np.bool_)
     features[:5], failed[:5] = 0.9 + features[:5], False

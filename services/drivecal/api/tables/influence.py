@@ -123,15 +123,15 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
         result = mean_of(list(zip(variations, known.values(), strict=True))) if sum(variations) > 0.0 else None
     if result is None or result.r2 <= 0.0:
         note = "the sets that were learned from tell nothing of the values of the others"
-        if len(own) < LEAST_SETS:
+        if result is None and len(own) < LEAST_SETS:
             note = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
         elif result is None:
             note = "the values of nearly all sets are the same"
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
-    figures = (each.tolist() for each in (result.mean, result.deviation, result.lower, result.upper))
+    figures = (each.tolist() for each in (result.mean, result.lower, result.upper))
     items = [
-        ParameterImportance(parameter=parameter.name, importance=mean, deviation=deviation, lower=lower, upper=upper)
-        for parameter, mean, deviation, lower, upper in zip(searched, *figures, strict=True)
+        ParameterImportance(parameter=parameter.name, importance=mean, lower=lower, upper=upper)
+        for parameter, mean, lower, upper in zip(searched, *figures, strict=True)
     ]
     items.sort(key=lambda item: -item.importance)
     return ImportanceAnswer.of(

@@ -54,9 +54,9 @@ class ScoreFaults:
         worst = [(scenario, row) for scenario, row in stored if row.failure is None and row.score == self._bench.scale.failed]
         if self._bench.evaluator is not None or not worst:
             return
-        measures = runs.metrics(connection, {donor.run for _, donor in worst})
+        measures = runs.values_of(connection, {donor.run for _, donor in worst})
         for scenario, donor in worst:
-            rated = self._bench.rate(scenario, measures[donor.run], None)
+            rated = self._bench.rate(scenario, measures[donor.run][0], None)
             if rated is not None:
                 self.note(scenario, rated)
 

@@ -25,8 +25,8 @@ from drivecal.plugins import registry
 from drivecal.plugins.ports import Ability, Optimizer, OptimizerPlugin
 from drivecal.plugins.search import SearchPlugin
 
-ORDERING = ("swarm", "cma_es")
-"""Built-in optimizers that move through the values of a parameter in their order."""
+ORDERING = "swarm"
+"""The built-in optimizer that moves through the values of a parameter in their order."""
 SIMULATIONS_OF_A_SCENARIO = 100
 """Simulations for each scenario of a search without a budget."""
 BEGINNINGS = {"start_sets", "start_results"}
@@ -150,7 +150,7 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
     if constraints:
         notes.append(f"sets that break {', '.join(constraints.listed)} are replaced by feasible ones near them")
     choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
-    if choices and optimization.plugin.name in ORDERING:
+    if choices and optimization.plugin.name == ORDERING:
         notes.append(f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed")
     return tuple(notes)
 

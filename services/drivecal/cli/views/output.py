@@ -199,7 +199,7 @@ def _uncertainty_texts(best: Best, aggregate: str | Mapping[str, float]) -> Iter
         lower, upper = best.failure_interval
         yield f"{best.failures} of all its runs failed; by those that report it, {percent(lower, 1)} to {percent(upper, 1)} fail (95 %)"
     if best.noise:
-        yield "noise of a sound run, less what a seed does to all sets: " + "  ".join(
+        yield "spread of runs that did not fail, without what a seed does to all sets: " + "  ".join(
             f"{name} {score_text(noise)}" for name, noise in best.noise.items()
         )
 

@@ -36,6 +36,10 @@ GAP = 4.0
 """Gap between logarithms of values, beyond which the worse ones count as equal: a part of the space blows up."""
 OUT_OF_REACH = 1e3
 """Feature that no set is near, in ranges."""
+DOUBTFUL = 0.1
+"""Probability of a failure from which on a set that is under way counts as failed."""
+WARY = 10
+"""Newest sets under way that may count so: of more, the edge of what fails would never be asked."""
 MOST_ALIKE = 0.9999
 """Largest correlation of a set's runs in failing."""
 
@@ -110,10 +114,11 @@ class Output:
         """Learns from at least one answer. `known`: number of all answers, those left out included."""
         self.warp = warp
         warped = warp(targets)
-        if warp.sign and self.prior is EXACT:  # how bad the worst are tells nothing about the best, and would hide it
-            worse = np.sort(warped)[len(warped) // 2 :]
-            if len(gaps := np.flatnonzero(np.diff(worse) > GAP)):
-                warped = np.minimum(warped, worse[gaps[0]] + 2.0)
+        if warp.unit and self.prior is EXACT:  # how bad the worst are tells nothing about the best, and would hide it
+            for side in (1.0,) if warp.sign else (1.0, -1.0):
+                worse = np.sort(side * warped)[len(warped) // 2 :]
+                if len(gaps := np.flatnonzero(np.diff(worse) > GAP)):
+                    warped = side * np.minimum(side * warped, worse[gaps[0]] + 2.0)
         self.constant, self.spread = float(warped.mean()), float(warped.std())
         if len(targets) < FEWEST or self.spread <= grain(*targets[:1].tolist() if warp.unit == 0 else ()):
             self.process = None
@@ -159,6 +164,8 @@ class ScenarioModel:
         self._owners, self._best, self._worst, self._random = owners, best, worst, random
         prior = SAMPLED if random else EXACT
         *self._outputs, self._failure = (Output(Hyperparameters.usual(n_parameters, prior), prior) for _ in range(n_values + 1))
+        self._wary = self._failure
+        """The same, where sets that are under way and may fail count as failed."""
         self._least = 0.5
         """Least probability that a random run fails, and that it does not."""
 
@@ -169,7 +176,7 @@ class ScenarioModel:
         held = np.union1d(_kept(points.features), np.flatnonzero(~failed)[-MOST // 10 :])  # sound ones may be rare
         points, values, failed = points[held], values[held], failed[held]
         if known > 0 and failed.all():
-            self._hope(points, pending[:0])
+            self._hope(points, pending)
             return
         for place, output in enumerate(self._outputs if known else ()):
             own, best = values[~failed, place], float(self._best[place])
@@ -177,8 +184,22 @@ class ScenarioModel:
             output.learn(points[~failed], own, self._owners, pending, warp, known)
         if known:
             self._failure.learn(points, failed.astype(np.float64), self._owners, pending[:0], Warp(), known)
+            self._doubt(points, failed.astype(np.float64), pending)
 
-    def _hope(self, points: Points, none: Points) -> None:
+    def _doubt(self, points: Points, labels: Floats, pending: Points) -> None:
+        """Takes sets that are under way and may fail for failed ones: a round that is asked before their answers asks elsewhere."""
+        self._wary = self._failure
+        if self._failure.process is None or self._random or not len(pending.seeds):
+            return
+        pending = pending[-WARY:]
+        doubtful = pending[self.predict(pending.features, pending=False).failing > DOUBTFUL]
+        if len(doubtful.seeds):
+            points, labels = points.followed_by(doubtful), np.append(labels, np.ones(len(doubtful.seeds)))
+            targets = (labels - self._failure.constant) / self._failure.spread
+            process = GaussianProcess(points, targets, self._owners, self._failure.tuned, points[:0])
+            self._wary = replace(self._failure, process=process)
+
+    def _hope(self, points: Points, pending: Points) -> None:
         """Learns from failures alone: that other sets fail as well is not certain, or a search would never leave them. It is as likely as
         if one answer were sound, out of reach of all sets (Laplace), with the best value to be expected."""
         labels = np.ones(len(points.seeds))
@@ -187,12 +208,13 @@ class ScenarioModel:
                 output.constant = best
             sound = Points(np.full_like(points.features[:1], OUT_OF_REACH), points.seeds[:1])
             points, labels = points.followed_by(sound), np.append(labels, 0.0)
-        self._failure.learn(points, labels, self._owners, none, Warp(), known=0)  # equal answers tell no lengths
+        self._failure.learn(points, labels, self._owners, pending[:0], Warp(), known=0)  # equal answers tell no lengths
+        self._doubt(points, labels, pending)
 
     def predict(self, features: Floats, *, pending: bool) -> Belief:
-        """Predicts n sets. Pending points shrink the deviation or do not."""
+        """Predicts n sets. Pending points shrink the deviation, and may count as failed, or do not."""
         predictions = [output.predict(features, pending=pending) for output in self._outputs]
-        failing, unsure = self._failure.predict(features, pending=False)
+        failing, unsure = (self._wary if pending else self._failure).predict(features, pending=False)
         alike = np.zeros_like(failing)
         if self._failure.process is not None and self._random:
             failing = np.clip(failing, self._least, 1.0 - self._least)

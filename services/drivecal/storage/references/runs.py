@@ -206,13 +206,6 @@ def of_sets(connection: Connection, setup_id: int, parameter_set_ids: Sequence[i
     return [RunOfSet(row[0], row[1], read(row[2]), row[3]) for row in rows]
 
 
-def metrics(connection: Connection, run_ids: Collection[int]) -> dict[int, dict[str, float | None]]:
-    """Returns the measured metrics of runs by id, None for values that were not finite. Skips unknown ids."""
-    query = select(runs.c.id, runs.c.metrics)
-    rows, read = rows_among(connection, query, runs.c.id, sorted(run_ids)), metrics_reader(connection)
-    return {number: read(stored) for number, stored in rows}
-
-
 def _insert(connection: Connection, results: Sequence[NewRun]) -> dict[tuple[int, int], tuple[int, NewRun]]:
     """Stores results of cells that have none: by cell, the run's id and the result that it is."""
     created_at = now()

@@ -114,6 +114,7 @@ export function prepared(canvas: HTMLCanvasElement, width: number, height: numbe
   const ratio = Math.min(2, window.devicePixelRatio || 1);
   canvas.width = Math.round(width * ratio);
   canvas.height = height * ratio;
+  canvas.parentElement?.style.setProperty("--drawn", `${width}px`); // cards are wider on paper
   const pen = canvas.getContext("2d");
   pen?.scale(ratio, ratio);
   return pen;
@@ -152,5 +153,42 @@ export function smoothed(across: readonly number[], up: readonly number[], value
       [sum, weights] = [sum + weight * value, weights + weight];
     });
     return weights < LEAST ? null : sum / weights;
+  });
+}
+
+/** How densely values lie in the fields of a range (Gaussians, Silverman's rule). */
+export function density(values: readonly number[], low: number, high: number, fields: number): number[] {
+  const [sorted, count] = [[...values].sort((a, b) => a - b), Math.max(1, values.length)];
+  const quantile = (share: number): number => sorted[Math.round(share * (count - 1))] ?? 0;
+  const mean = values.reduce((sum, value) => sum + value, 0) / count;
+  const deviation = Math.sqrt(values.reduce((sum, value) => sum + (value - mean) ** 2, 0) / count);
+  const spread = Math.min(deviation, (quantile(0.75) - quantile(0.25)) / 1.34 || deviation);
+  const width = Math.max(0.9 * spread * count ** -0.2, (high - low) / fields / 2); // a single value is seen, too
+  return Array.from({ length: fields }, (_, place) => {
+    const at = low + ((place + 0.5) * (high - low)) / fields;
+    return values.reduce((sum, value) => sum + Math.exp(-(((value - at) / width) ** 2) / 2), 0) / (width * count);
+  });
+}
+
+/** The width of likeness, and of the mean along a slice, in shares of the axes. */
+const [ALIKE, ALONG] = [0.2, 0.08];
+
+/** How like the first row each row is in some parameters, 1 if equal: a Gaussian of the root mean square of the distances. */
+export function likeness(others: readonly { shares: readonly number[]; isChoice: boolean }[], rows: number): number[] {
+  return Array.from({ length: rows }, (_, row) => {
+    const squares = others.reduce((sum, { shares, isChoice }) => sum + (isChoice ? Number(shares[row] !== shares[0]) : ((shares[row] ?? 0) - (shares[0] ?? 0)) ** 2), 0);
+    return Math.exp(-squares / (others.length || 1) / (2 * ALIKE ** 2));
+  });
+}
+
+/** Means of values along an axis from 0 to 1, weighted by nearness; null where no set is near. */
+export function slice(along: readonly number[], values: readonly number[], weights: readonly number[], places: number): (number | null)[] {
+  return Array.from({ length: places }, (_, place) => {
+    let [sum, whole] = [0, 0];
+    along.forEach((at, row) => {
+      const weight = (weights[row] ?? 0) * Math.exp(-(((at - (place + 0.5) / places) / ALONG) ** 2) / 2);
+      [sum, whole] = [sum + weight * (values[row] ?? 0), whole + weight];
+    });
+    return whole > LEAST ? sum / whole : null;
   });
 }

@@ -133,13 +133,13 @@ export function withWeight(wanted: Wanted, id: string, weight: number): Wanted {
   return changed(wanted, "weights", filled(mapOf(wanted["weights"]), id, weight === 1 ? undefined : weight));
 }
 
-/** The specification of a clone. `analysed`: with an analysis, if the campaign has none; the default of reuse follows it then. `start`: the sets that its search starts with, if it is a list. */
-export function cloneOf({ name, kind, spec }: Pick<Campaign, "name" | "kind" | "spec">, analysed: boolean, start?: unknown): Wanted {
+/** The specification of a clone. `analysed`: with an analysis, if the campaign has none; the default of reuse follows it then. `start`: the sets that its search starts with, if it is a list; its budget is twice as large then, as the outlook of results supposes. */
+export function cloneOf({ name, kind, spec, budget = null }: Pick<Campaign, "name" | "kind" | "spec"> & Partial<Pick<Campaign, "budget">>, analysed: boolean, start?: unknown): Wanted {
   const begins = Array.isArray(start);
   // Settings of single evaluations and of studies that a search with their sets does not have.
   const left = !begins || spec.optimizer ? [] : kind === "evaluation" ? ["parameters", "scenario", "seeds", "fresh"] : ["robustness", "validation"];
   const kept = Object.fromEntries(Object.entries(spec).filter(([field]) => !left.includes(field)));
-  const clone: Wanted = { ...kept, ...(begins ? { optimizer: { ...spec.optimizer, start_sets: start } } : {}), name: `${name.slice(0, 190)} again` };
+  const clone: Wanted = { ...kept, ...(begins ? { optimizer: { ...spec.optimizer, start_sets: start } } : {}), ...(begins && budget?.simulations ? { budget: { ...budget, simulations: 2 * budget.simulations } } : {}), name: `${name.slice(0, 190)} again` };
   if (!analysed || (spec.sensitivity ?? null) !== null) return clone;
   return { ...clone, sensitivity: {}, ...(spec.reduction?.mode === "predicted" ? { reduction: changed(spec.reduction, "mode", undefined) } : {}) };
 }

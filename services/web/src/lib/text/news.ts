@@ -10,7 +10,7 @@ import { calibrates } from "./studies";
 const PLACES: readonly (readonly [RegExp, string, Record<string, string>, string])[] = [
   [/^front/, "front", {}, "front"],
   [/map|audits|contradictions|lots|predictions|robust/, "trust", {}, "checks"],
-  [/^fails$|^without/, "overview", { at: "failures" }, "failed runs"],
+  [/^fails$|^without|^failing/, "overview", { at: "failures" }, "failed runs"],
   [/noise|cut$/, "evaluations", {}, "evaluations"],
   [/baseline|better|ends$/, "overview", { at: "best" }, "best set"],
   [/confirm|scores|tried|judged|constraints|optima/, "ranking", { row: "1" }, "ranking"],

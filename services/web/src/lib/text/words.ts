@@ -14,7 +14,7 @@ export const MEANING: Record<Outcome | "pending" | "carried_over", string> = {
   repeated: "answered by the stored result of the same parameter set",
   reused: "answered by a stored set that differs only where the influence map says that it does not matter",
   predicted: "predicted from simulated answers; it counts once a random sample of the cells that were predicted with it was simulated; never a reference, never an optimum",
-  simulated: "run by the simulator; a failure of what is tested, such as a collision, is a result as well, worth a failed run",
+  simulated: "run by the simulator; a collision or the like is a result as well, and scores as a failed run",
   failed: "without a result after all attempts: ranked last, never used as a reference",
 };
 

@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { marked, numbersOf, outline, reach, room, valueNear, type Frame, type Series } from "$lib/charts/plot";
+import { density, likeness, marked, numbersOf, outline, reach, room, slice, valueNear, type Frame, type Series } from "$lib/charts/plot";
 
 const FRAME: Frame = { width: 120, height: 70, left: 10, right: 10, top: 10, bottom: 10, x: [0, 10], y: [0, 5] };
 const line = (values: (number | null)[], more: Partial<Series> = {}): Series => ({ name: "a", values, colour: "#000000", ...more });
@@ -22,4 +22,20 @@ test("lines with places of their own are read at those, and nowhere else", () =>
   expect([0.9, 2.2, 3].map((moment) => valueNear(own, longest, moment))).toEqual([5, null, null]);
   expect([valueNear(line([1, 2, 3, 4, 5]), longest, 2.6), valueNear(line([], { x: [] }), longest, 1)]).toEqual([4, null]);
   expect(numbersOf([own], longest, "time / s", "m")).toEqual({ head: ["line", "time / s", "m"], rows: [["v", 0, 5], ["v", 2, 7]] });
+});
+
+test("a violin has its mass where the values are", () => {
+  const fields = density([2, 2, 2, 2, 8], 0, 10, 100);
+  expect(fields.reduce((sum, value) => sum + value / 10, 0)).toBeCloseTo(1, 1);
+  expect(fields.indexOf(Math.max(...fields))).toBeCloseTo(20, -1);
+  expect(density([], 0, 1, 3)).toEqual([0, 0, 0]);
+});
+
+test("a slice is made of the sets that are like the first one", () => {
+  const near = likeness([{ shares: [0.5, 0.5, 0.9, 0.5], isChoice: false }, { shares: [1, 1, 1, 0], isChoice: true }], 4);
+  expect([near[0], near[1]]).toEqual([1, 1]);
+  expect(Math.max(near[2] ?? 1, near[3] ?? 1)).toBeLessThan(0.5);
+  const line = slice([0.1, 0.1, 0.15, 0.1], [4, 6, 100, 100], [1, 1, 0.001, 0.001], 10);
+  expect(line[0]).toBeCloseTo(5, 0);
+  expect(line[9]).toBeNull();
 });

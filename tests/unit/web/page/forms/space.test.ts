@@ -57,6 +57,8 @@ test("a clone with an analysis takes the reuse that goes with one, unless it was
   expect(of({ reduction: { ...reduction, mode: "exact" } })["reduction"]).toMatchObject({ mode: "exact" });
   expect(of({ reduction }, false)).toEqual({ name: "a again", reduction });
   expect(of({ reduction, sensitivity: { map: "m" } })).toMatchObject({ sensitivity: { map: "m" }, reduction });
+  const twice = cloneOf({ name: "a", kind: "calibration", spec: {}, budget: { simulations: 300, minutes: null, stagnation: 5 } }, false, [{ P1: 1 }]);
+  expect(twice["budget"]).toEqual({ simulations: 600, minutes: null, stagnation: 5 });
   expect(of({ optimizer: { kind: "genetic" } }, false, [{ P1: 1 }])["optimizer"]).toEqual({ kind: "genetic", start_sets: [{ P1: 1 }] });
 });
 
