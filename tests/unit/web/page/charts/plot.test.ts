@@ -26,7 +26,8 @@ test("lines with places of their own are read at those, and nowhere else", () =>
 
 test("a violin has its mass where the values are", () => {
   const fields = density([2, 2, 2, 2, 8], 0, 10, 100);
-  expect(fields.reduce((sum, value) => sum + value / 10, 0)).toBeCloseTo(1, 1);
+  const mass = (some: readonly number[]): number => some.reduce((sum, value) => sum + value, 0);
+  expect(mass(fields.slice(0, 50)) / mass(fields)).toBeGreaterThan(0.7);
   expect(fields.indexOf(Math.max(...fields))).toBeCloseTo(20, -1);
   expect(density([], 0, 1, 3)).toEqual([0, 0, 0]);
 });
