@@ -46,8 +46,8 @@ export function courseOf({ best, cells }: Pick<Campaign, "best" | "cells">, gene
   return best === null ? course : [...course, { best: best.objective, mean: null, at: over === "iteration" ? (places.at(-1) ?? 0) : cells.simulated + cells.failed }];
 }
 
-/** Pixels between the outermost of lines that would lie on each other. */
-const SPREAD = 10;
+/** Most pixels between lines that would lie on each other, and between the outermost of them. */
+const [BETWEEN, SPREAD] = [2, 10];
 
 /** The course of each search as a line. `place`: which colour and dash its group has. */
 export function overlay(searches: readonly { name: string; group: string; place: number; values: readonly (number | null)[]; x: readonly number[] }[]): Series[] {
@@ -56,6 +56,6 @@ export function overlay(searches: readonly { name: string; group: string; place:
     colour: SERIES[place % SERIES.length] ?? "",
     dash: DASHES[place % DASHES.length],
     steps: true,
-    shift: searches.length > 1 ? SPREAD * ((at + 0.5) / searches.length - 0.5) : 0,
+    shift: searches.length > 1 ? Math.min(BETWEEN, SPREAD / searches.length) * (at + 0.5 - searches.length / 2) : 0,
   }));
 }
