@@ -142,8 +142,8 @@ def everything(database: Database, campaign: StoredCampaign) -> tuple[Any, ...]:
 
 
 def without_starts(cells: CellCounts) -> CellCounts:
-    """Returns counts of cells without the starts of the simulator: kills make more of them."""
-    return cells.model_copy(update={"runs": 0, "lost": 0})
+    """Returns counts of cells without the starts of the simulator: kills make more of them, and other campaigns' runs replace some."""
+    return cells.model_copy(update={"runs": 0, "lost": 0, "shared": 0})
 
 
 def dispatcher(database: Database, backend: Backend | None = None, **settings: Any) -> Dispatcher:

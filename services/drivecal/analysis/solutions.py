@@ -302,7 +302,7 @@ class Ranking:
     def noise(self) -> dict[str, float]:
         """Returns the deviation of a run's score by scenario, without what sets have in common, as far as it is known."""
         noise: dict[str, float] = {}
-        repeated = sorted(self._samples)
+        repeated = sorted(self._samples, key=self._places.__getitem__)
         last = max((seed for number in repeated for seed in self._runs[number]), default=0)
         for scenario in self._judge.shares:
             samples = np.full((len(repeated), last), np.nan)
@@ -334,8 +334,8 @@ class Ranking:
     def statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or may show it under this many further `seeds`, or else all sets."""
-        # sums depend on the order, which is another one after a restart
-        by_seed = {number: self._chosen_by(self._solutions[number]) for number in sorted(self._solutions)}
+        ids = sorted(self._solutions, key=self._places.__getitem__)  # sums depend on the order, and ids on other campaigns
+        by_seed = {number: self._chosen_by(self._solutions[number]) for number in ids}
         numbers = [number for number, objectives in by_seed.items() if objectives]
         if not numbers:
             return None
@@ -358,7 +358,7 @@ class Ranking:
         """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds."""
         if not self._samples:
             return [], []
-        runs = {number: self._runs[number] for number in sorted(self._solutions)}
+        runs = {number: self._runs[number] for number in sorted(self._solutions, key=self._places.__getitem__)}
         numbers, last = list(runs), max(map(max, runs.values()))
         samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
         for place, (_, by_seed) in enumerate(self._judge.by_seed(self._places, runs)):

@@ -110,6 +110,8 @@ class AskTell:
         for cell in answers.items:
             self._cells.setdefault(cell.key, {})[cell.scenario] = cell
         self._last = answers.last
+        if answers.state == "failed":
+            raise DrivecalError(f"campaign {self.campaign.id} failed; `drivecal show {self.campaign.id}` says why")
         if answers.is_complete and not answers.items:
             raise SearchEndedError(f"campaign {self.campaign.id} has ended ({answers.ended_by or answers.state})")
         return bool(answers.items)

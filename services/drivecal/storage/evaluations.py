@@ -102,7 +102,8 @@ def answer(connection: Connection, answers: Sequence[AnsweredCell]) -> tuple[int
         for answer in answers
     ]
     execute_rows(connection, statement, rows)
-    shared = sum(each.outcome is Outcome.SIMULATED and not started[each.id] for each in answers)
+    # a lost start brought no result
+    shared = sum(each.outcome is Outcome.SIMULATED and started[each.id] <= ended.get(each.id, (0, 0))[1] for each in answers)
     return sum(started.values()), sum(lost for _, lost in ended.values()), shared
 
 
@@ -349,13 +350,6 @@ def confirmed(connection: Connection, campaign_sequence: int) -> dict[str, dict[
     for row in connection.execute(select(*answered.c, func.count().label("cells")).group_by(*answered.c)):
         counted.setdefault(row.scenario, {})[Outcome(row.outcome)] = row.cells
     return counted
-
-
-def shared(connection: Connection, campaign_sequence: int) -> int:
-    """Returns how many simulated cells of a campaign's search took a run that another campaign shares."""
-    cell, here = evaluations.c, evaluations.c.stage == StageName.CALIBRATION
-    query = select(func.count()).where(cell.campaign_sequence == campaign_sequence, here, cell.outcome == Outcome.SIMULATED)
-    return connection.execute(query.where(cell.runs == 0)).scalar_one()
 
 
 def are_seeded(connection: Connection, campaign_sequence: int) -> bool:

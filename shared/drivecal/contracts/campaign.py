@@ -89,6 +89,8 @@ class CellCounts(GenerationCounts):
     lost: int = 0
     """Starts, among `runs`, whose worker or server was killed: they take nothing from a budget. A cell at a worker on Ray, or whose
     server was killed, counts as started, so that the simulator counts at least `runs` - `lost` and at most `runs`."""
+    shared: int = 0
+    """Simulated cells that took a run of another campaign: they count in the budget of an `isolated` campaign."""
     discarded: int = 0
     """Cells of sets that a search gave up, because they could not be the best any more. They were not requested, and are in no sum."""
     cut: int = 0

@@ -135,7 +135,8 @@ class CellTracker:
 
     def limit(self, runs: int) -> None:
         """Limits the starts of the simulator in this stage, those so far included, before its cells are loaded."""
-        self.budget, self._counts_starts = RunBudget(runs - self._counts["runs"] + self._counts["lost"]), True
+        spent = self._counts["runs"] - self._counts["lost"] + (self._counts["shared"] if self._view.isolated else 0)
+        self.budget, self._counts_starts = RunBudget(runs - spent), True
 
     def limit_cells(self, cells: int) -> None:
         """Limits the cells that a search by the cell may ask for, those so far included."""
@@ -233,6 +234,7 @@ class CellTracker:
         started, lost, shared = evaluations.answer(connection, answers)
         self._counts["runs"] += started
         self._counts["lost"] += lost
+        self._counts["shared"] += shared
         self.budget.left -= started - lost + (shared if self._view.isolated else 0)
 
     def _late(self, connection: Connection, completed: Sequence[Completed]) -> set[int]:

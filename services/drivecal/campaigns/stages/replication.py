@@ -88,7 +88,7 @@ class Replication:
     def _runs_of_baseline(self, connection: Connection) -> list[tuple[int, int]]:
         """Returns the baseline, by its id, with each seed that it is still to run under, to be compared with the best set."""
         ranking, baseline = self._answers.ranking, self._problem.baseline
-        best, kept = ranking.best(), ranking.statistics()
+        best, kept = ranking.best(), None if baseline is None else ranking.statistics()
         if baseline is None or best is None or kept is None or (kept[1].is_known and not kept[1].is_random):
             return []
         number = parameter_sets.ids(connection, [baseline.key]).get(baseline.key)
@@ -139,7 +139,6 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     spare = affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
     numbers, known = ranking.statistics(spare) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
-    untried = [[seed for seed in range(1, choosing + 1) if seed not in ranking.seeds(number)] for number in numbers]
     leader = known.best(wanted.confidence)
     if needed.get(leader, spare + 1) <= spare and known.counts.max() > 1:
         # of sets as good as the leader, as far as is known, the one with the fewest seeds left to show its rates is first
@@ -158,6 +157,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
             report = affordable
         places = replicates.allocate(known, min(room, affordable - report), choosing, wanted.confidence)
     # a seed without a result is not tried again
+    untried = {place: sorted(set(range(1, choosing + 1)) - set(ranking.seeds(numbers[place]))) for place in places}
     chosen = [(numbers[place], untried[place].pop(0)) for place in places if untried[place]]
     if chosen or (known.is_known and not known.is_random) or (best := ranking.best()) is None:
         return chosen

@@ -76,8 +76,6 @@ class SearchStage(Stage):
         with view.reuse_time.counted():
             sync_reference_keys(database, view)
         with database.read() as connection:
-            if view.isolated:
-                self._tracker.budget.left -= evaluations.shared(connection, campaign.sequence)
             last = generations.last(connection, campaign.sequence)
             self._closed = generations.finished(connection, campaign.sequence)
         self._next = 0 if last is None else last.iteration + 1

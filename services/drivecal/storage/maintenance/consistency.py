@@ -122,7 +122,7 @@ def check_counters(connection: Connection) -> Iterator[str]:
                     yield f"campaign {row.id} counts {count} {part} in its {stage_of}, its rows {cells[part]}"
 
 
-_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "lost", "discarded"}
+_NOT_IN_ROWS = {"unrepeatable", "unscored", "cut", "lost", "shared", "discarded"}
 _WHOLE = campaigns.c.deleted_at.is_(None)
 """Campaigns with all their cells: a deleted one counts its former cells."""
 
