@@ -400,6 +400,19 @@ def test_the_seeds_that_report_both_tell_a_set_from_the_best(gap: float, reporte
     assert ranking.gain_over(0, random=True) == (None, False)
 
 
+def test_ids_of_sets_in_the_database_decide_nothing() -> None:
+    scores = np.random.default_rng(4).normal(size=(12, 3)).round(1)
+    rankings = [by_score({"S1": 1}, COMFORT, ReplicatesSpecification(most=20)) for _ in range(2)]
+    for ranking, first, step in zip(rankings, (1, 99), (1, -1), strict=True):
+        for place, seed in product(range(12), range(1, 4)):
+            run = replace(one_run(place, seed, float(scores[place, seed - 1])), parameter_set=first + step * place)
+            ranking.add([run])
+    (rising, one), (falling, other) = (present(ranking.statistics()) for ranking in rankings)
+    assert [number - 1 for number in rising] == [99 - number for number in falling] == list(range(12))
+    np.testing.assert_array_equal(one.means, other.means)
+    assert rankings[0].noise() == rankings[1].noise()
+
+
 @pytest.mark.parametrize("gain", [1.0, -1.0])
 def test_failures_that_only_one_of_two_sets_met_leave_open_which_is_better(gain: float) -> None:
     """The best set was chosen under the first seed."""
