@@ -73,6 +73,17 @@ def test_starts_that_end_with_their_dispatcher_or_worker_are_lost(connection: Co
     assert leases.forget(connection, int(sequence)) == {StageName.CALIBRATION: (1, 1)}
 
 
+def test_a_cell_whose_starts_are_all_lost_takes_the_run_of_another(connection: Connection) -> None:
+    """The first one has its own, the second one lost its start with a worker, the third one with a dispatcher, the last one had none."""
+    ids = pending(connection, 4)
+    take(connection, ids[2:3])
+    elect(connection)
+    take(connection, ids[:2])
+    leases.give_back(connection, {ids[1]: 0})
+    answers = [AnsweredCell(number, Outcome.SIMULATED, 5.0, 5.0, None) for number in ids]
+    assert evaluations.answer(connection, answers) == (3, 2, 3)
+
+
 def test_what_has_its_answer_is_not_leased(connection: Connection) -> None:
     ids = pending(connection, 3)
     evaluations.answer(connection, [AnsweredCell(ids[1], Outcome.FAILED, None, None, None, "crash")])
