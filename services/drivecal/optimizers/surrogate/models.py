@@ -39,7 +39,7 @@ OUT_OF_REACH = 1e3
 DOUBTFUL = 0.1
 """Probability of a failure from which on a set that is under way counts as failed."""
 WARY = 10
-"""Newest sets under way that may count so: of more, the edge of what fails would never be asked."""
+"""Newest sets under way that may count as failed: with more of them, a search would stay away from the edge of the failures."""
 MOST_ALIKE = 0.9999
 """Largest correlation of a set's runs in failing."""
 
