@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from tests.browser.conftest import Opening, barriers
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, WITH_ANALYSIS, dispatcher, get, influenced, run, submit
-from tests.support.server import RunningApi, serving
+from tests.support.server import serving
 
 from drivecal.bundles.archives import folder_digest
 from drivecal.client.problem_templates import write_problem
@@ -140,7 +140,12 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         page.get_by_label("Token", exact=True).fill(TOKEN[::-1])
         page.get_by_role("button", name="Log in").click()
         expect(simulations).to_have_value("77")
-        push_a_folder(page, api, tmp_path / "mine")
+        page.goto(f"{api.url}/#/problems")
+        push_a_folder(page, tmp_path / "mine", "Your token again", TOKEN[::-1])
+        assert (
+            folder_digest(tmp_path / "mine")
+            in api.http.get("/api/v1/problems/mine", headers={"Authorization": f"Bearer {TOKEN}"}).text
+        )
         assert TOKEN[::-1] not in page.evaluate("JSON.stringify({...localStorage, ...sessionStorage}) + document.cookie")
         page.route("**/session", lambda route: route.fulfill(status=503, json={"detail": "away"}))
         page.get_by_role("button", name="Log out").click()
@@ -152,6 +157,21 @@ def test_where_tokens_are_asked_for_the_page_asks_for_one_and_keeps_none(tmp_pat
         assert json.loads(kept) == ["", {}, {}]
         page.reload()
         expect(page.get_by_label("Token", exact=True)).to_be_visible()
+        page.close()
+
+
+def test_without_tokens_a_dropped_problem_is_signed_by_the_secret_of_the_server(tmp_path: Path, opening: Opening) -> None:
+    with serving(f"sqlite:///{tmp_path / 'drivecal.db'}", home=str(tmp_path / "home")) as api:
+        page = opening(f"{api.url}/#/problems", expected=("403", "422"))
+        secret = Path(api.http.get("/api/v1/session").json()["signed_by"]).read_text()
+        push_a_folder(page, tmp_path / "mine", "Content of push.secret", secret)
+        assert barriers(page) == []
+        choose_folder(page, tmp_path / "mine")
+        page.get_by_label("Content of push.secret").fill(secret[::-1])
+        page.get_by_role("button", name="Push", exact=True).click()
+        expect(page.get_by_role("alert")).to_contain_text("push.secret")
+        assert folder_digest(tmp_path / "mine") in api.http.get("/api/v1/problems/mine").text
+        assert secret not in page.evaluate("JSON.stringify({...localStorage, ...sessionStorage}) + document.cookie")
         page.close()
 
 
@@ -169,17 +189,16 @@ def drop_folder(page: Page, folder: Path) -> None:
         session.send("Input.dispatchDragEvent", {"type": kind, "x": place["x"] + 5, "y": place["y"] + 5, "data": dragged})
 
 
-def push_a_folder(page: Page, api: RunningApi, folder: Path) -> None:
+def push_a_folder(page: Page, folder: Path, asked: str, proof: str) -> None:
+    """Pushes a faulty folder, which is refused, and a mended one; the page asks for `asked` each time."""
     write_problem("process", "mine", str(folder))
     good = (folder / "problem.yaml").read_text()
-    page.goto(f"{api.url}/#/problems")
     for give, text, said in (
         (choose_folder, good.replace(": minimise", ": down"), r"problem.yaml\d+scores.cost.direction"),
         (drop_folder, good, "mine is stored"),
     ):
         (folder / "problem.yaml").write_text(text)
         give(page, folder)
-        page.get_by_label("Your token again").fill(TOKEN[::-1])
+        page.get_by_label(asked).fill(proof)
         page.get_by_role("button", name="Push", exact=True).click()
         expect(page.get_by_role("main")).to_contain_text(re.compile(said))
-    assert folder_digest(folder) in api.http.get("/api/v1/problems/mine", headers={"Authorization": f"Bearer {TOKEN}"}).text

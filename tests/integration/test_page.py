@@ -101,7 +101,7 @@ def test_a_token_is_shown_once_and_a_cookie_stands_for_it(guarded: RunningApi) -
     with httpx.Client(base_url=guarded.url, timeout=60) as browser:
         assert browser.get("/api/v1/session").status_code == 401
         begun = browser.post("/api/v1/session", headers=own | {"Authorization": f"Bearer {READ}"})
-        assert begun.json() == {"name": "reader", "may_write": False, "may_push": False}
+        assert begun.json() == {"name": "reader", "may_write": False, "may_push": False, "signed_by": None}
         cookie = begun.headers["set-cookie"]
         assert READ not in cookie
         assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))

@@ -1,8 +1,9 @@
 """Permission to push problems, which carry code that workers run.
 
 On a server with tokens it takes a token that may push (`author`). A server without tokens asks for a signature by the secret in its home
-folder, which only its own user can read. So no web page and no other user of the machine can send code. The signature covers the pushed
-bytes: a program that poses as the server learns nothing with which it could push something else.
+folder, which only its own user can read: the command reads it, into the page it is pasted. So no foreign page and no other user of the
+machine can send code. The signature covers the pushed bytes: a program that poses as the server to the command learns nothing with which
+it could push something else.
 """
 
 import hashlib

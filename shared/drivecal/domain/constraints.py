@@ -1,10 +1,10 @@
 """Constraints of a search space: combinations of values that must not be simulated."""
 
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from drivecal.domain.values import BILLION, billionths
 Columns = Mapping[str, npt.NDArray[Any]]
 """Values of n sets by parameter, shape (n,): floats, or the texts of choices."""
 Constraint = Callable[[Columns], npt.NDArray[np.bool_]]
-"""Returns which of n sets it allows, shape (n,)."""
+"""Returns which of n sets it allows, shape (n,). `inequalities`, if it has them, hold in all of them: repair sorts or projects."""
 
 DRAWN = 2**16
 """Points among which feasible ones are searched."""
@@ -37,15 +37,6 @@ class Inequality:
     coefficients: Mapping[str, float]
     bound: float
     is_strict: bool = False
-
-
-@runtime_checkable
-class LinearConstraint(Protocol):
-    """Optional protocol of a constraint that implies linear inequalities: repair sorts or projects."""
-
-    @property
-    def inequalities(self) -> Sequence[Inequality]:
-        """Inequalities that hold in all sets that the constraint allows."""
 
 
 @dataclass(frozen=True)
@@ -235,12 +226,11 @@ class Constraints:
         """Yields the inequalities between searched parameters, at most MOST_TERMS."""
         origins, steps = self._numbers
         places = {parameter.name: column for column, parameter in enumerate(self.space.searched) if not parameter.choices}
-        constraints: Collection[object] = self.listed.values()
+        implied: Iterator[Sequence[Inequality]] = (
+            getattr(constraint, "inequalities", ()) for constraint in self.listed.values()
+        )
         listed = {
-            (tuple(sorted(each.coefficients.items())), each.bound, each.is_strict): each
-            for constraint in constraints
-            if isinstance(constraint, LinearConstraint)
-            for each in constraint.inequalities
+            (tuple(sorted(each.coefficients.items())), each.bound, each.is_strict): each for some in implied for each in some
         }
         for each in list(listed.values())[:MOST_TERMS]:
             fixed = {name: value for name, value in self.space.fixed.items() if name in each.coefficients}

@@ -113,16 +113,22 @@ def test_without_tokens_the_secret_of_the_home_folder_is_needed(serve: Serve, tm
     for wrong in ("", "x", right[:-1] + ("0" if right[-1] != "0" else "1"), sign(b"s" * 43, archive), sign(b"", archive)):
         assert push(client, archive, {HEADER: wrong}).status_code == 403
     assert push(client, packed("other"), {HEADER: right}).status_code == 403, "a signature is of one content"
-    assert push(client, archive, {HEADER: right, "Origin": "http://localhost:8000"}).status_code == 403
+    assert push(client, archive, {"Origin": "http://localhost:8000"}).status_code == 403
+    for other in ("http://localhost:9000", "https://evil.example", "null"):
+        assert push(client, archive, {HEADER: right, "Origin": other}).status_code == 403, "no page of another origin"
     assert push(client, archive, {HEADER: right, "Host": "evil.example"}).status_code == 421
     assert listed(client) == ["highway-random", "highway"], "only what is installed"
-    assert push(client, archive, {HEADER: right}).status_code == 201
+    session = client.get("/api/v1/session").json()
+    assert (session["may_push"], session["signed_by"]) == (True, str(tmp_path / "home" / "push.secret"))
+    assert push(client, archive, {HEADER: right, "Origin": "http://localhost:8000"}).status_code == 201, "its own page"
+    assert push(client, archive, {HEADER: right}).status_code == 200
 
 
 def test_without_tokens_pushing_can_be_switched_off(serve: Serve, tmp_path: Path) -> None:
     client = serve(allow_push=False)
     assert not (tmp_path / "home" / "push.secret").exists()
     assert push(client, headers={HEADER: sign(b"s" * 43, packed())}).status_code == 403
+    assert not client.get("/api/v1/session").json()["may_push"]
 
 
 def test_a_pushed_problem_is_stored_once_listed_and_shown(serve: Serve) -> None:

@@ -134,14 +134,14 @@ def refuse_others(request: Request, name: str, owner: str | None, kind: str = "c
 def refuse_push(request: Request) -> str | None:
     """Raises HTTPException (403) if the request may not push a problem. Call it before reading the body.
 
-    Sessions and pages of other origins never may. Returns the SHA-256 digest that the body must have, None on a server with tokens.
+    A session and pages of other origins never may. Returns the SHA-256 digest that the body must have, None on a server with tokens.
     """
     pushing: Pushing = request.app.state.pushing
     token: Token = request.state.token
     if not pushing.allowed:
         detail = "this server takes no problems; start it with DRIVECAL_ALLOW_PUSH=true, or let it listen on 127.0.0.1"
         raise HTTPException(403, detail)
-    if "origin" in request.headers and (token is ANYBODY or not sessions.same_origin(request.headers)):
+    if "origin" in request.headers and not sessions.same_origin(request.headers):
         raise HTTPException(403, "no problem is taken from this web page; use `drivecal problem push`")
     if token is not ANYBODY:
         if "authorization" not in request.headers:

@@ -4,6 +4,7 @@ from fastapi import APIRouter, Request, Response
 
 from drivecal.api.http import sessions
 from drivecal.api.http.authorisation import ANYBODY
+from drivecal.configuration.pushing import FILE, Pushing
 from drivecal.configuration.tokens import Token
 from drivecal.contracts.campaign import Answer
 
@@ -11,11 +12,13 @@ router = APIRouter(tags=["page"])
 
 
 class Session(Answer):
-    """The client and its rights; `name` is null without tokens. `may_push`: with its token, which the page asks for again."""
+    """The client and its rights; `name` is null without tokens. `may_push`: with its token, which the page asks for again; without tokens
+    with a signature by the content of the file `signed_by`."""
 
     name: str | None
     may_write: bool
     may_push: bool
+    signed_by: str | None
 
 
 @router.get("/session")
@@ -48,5 +51,11 @@ def end_session(request: Request, response: Response) -> None:
 
 def _session(request: Request) -> Session:
     token: Token = request.state.token
-    may_push = token.may_push and request.app.state.pushing.allowed
-    return Session(name=None if token is ANYBODY else token.name, may_write=token.may_write, may_push=may_push)
+    pushing: Pushing = request.app.state.pushing
+    signed_by = str(pushing.home / FILE) if pushing.secret is not None and pushing.home is not None else None
+    return Session(
+        name=None if token is ANYBODY else token.name,
+        may_write=token.may_write,
+        may_push=pushing.allowed and (token.may_push or signed_by is not None),
+        signed_by=signed_by,
+    )

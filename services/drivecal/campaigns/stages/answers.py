@@ -98,7 +98,7 @@ class SearchAnswers(ABC):
 
     @abstractmethod
     def for_search(self, number: int, asked: AskedRound) -> tuple[Any, ...]:
-        """Returns the arguments of `Asker.tell` for an answered round."""
+        """Returns the arguments of an asker's `tell` for an answered round."""
 
 
 class CellAnswers(SearchAnswers):

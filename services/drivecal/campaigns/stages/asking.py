@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,16 +55,6 @@ class AskedRound:
         return int((~self.changed).sum())
 
 
-class Asker(Protocol):
-    """A search as a campaign asks it."""
-
-    def ask(self) -> AskedRound | None:
-        """Returns the next round; None if the search has nothing left to ask for."""
-
-    def tell(self, *answers: Any) -> None:
-        """Receives the answers of the oldest round, as its kind takes them."""
-
-
 class PopulationAsker:
     """A generational optimizer: a round is its population, in all scenarios, and it is told when the whole round is answered."""
 
@@ -98,7 +88,7 @@ class CellAsker:
         self._search, self._room, self._seeds = search, room, seeds
 
     def ask(self) -> AskedRound | None:
-        """Returns the next cells."""
+        """Returns the next cells; None if the search has nothing left to ask for."""
         cells = self._search.ask(max(1, self._room // self._seeds))
         if not cells:
             return None
@@ -122,6 +112,10 @@ class CellAsker:
     def tell(self, *answers: Any) -> None:
         """Passes the answers of a round on."""
         self._search.tell(*answers)
+
+
+Asker = PopulationAsker | CellAsker
+"""A search as a campaign asks it."""
 
 
 def population_round(
@@ -154,7 +148,7 @@ class Computation:
 
         Args:
             obtain: returns the search.
-            answers: arguments of `Asker.tell`, which is called first; None for no call.
+            answers: arguments of the search's `tell`, which is called first; None for no call.
             asks: whether a round is wanted.
         """
         self._patience = PATIENCE_SECONDS

@@ -1,6 +1,5 @@
 """`drivecal demo`: a campaign, its result, and the cost of a rerun with other weights."""
 
-import fcntl
 import json
 import os
 import re
@@ -46,10 +45,8 @@ def fresh_folder(folder: Path) -> Iterator[None]:
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     with folder.with_suffix(".lock").open("w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            raise ConflictError(f"another demo is running in {folder}; wait for it or stop it") from error
+        if not server_lock.try_lock(lock):
+            raise ConflictError(f"another demo is running in {folder}; wait for it or stop it")
         with server_lock.hold(_database_url(folder), "set DRIVECAL_HOME to another folder: a new demo empties this one"):
             shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(exist_ok=True)

@@ -25,6 +25,15 @@ export async function archiveOf(files: readonly Named<File>[]): Promise<{ name: 
   return { name: path.split("/")[0] ?? "", files: read.length, content: new Blob(zipped(read) as Uint8Array<ArrayBuffer>[]) };
 }
 
+/** The value of the header `Drivecal-Push`: the digest of a content and its signature by a secret, as the command makes them. */
+export async function signed(content: Blob, secret: string): Promise<string> {
+  const bytes = new TextEncoder();
+  const hex = (buffer: ArrayBuffer): string => Array.from(new Uint8Array(buffer), (byte) => byte.toString(16).padStart(2, "0")).join("");
+  const digest = hex(await crypto.subtle.digest("SHA-256", await content.arrayBuffer()));
+  const key = await crypto.subtle.importKey("raw", bytes.encode(secret), { name: "HMAC", hash: "SHA-256" }, false, ["sign"]);
+  return `${digest}:${hex(await crypto.subtle.sign("HMAC", key, bytes.encode(`drivecal push ${digest}`)))}`;
+}
+
 const TABLE = Uint32Array.from({ length: 256 }, (_, byte) => Array.from({ length: 8 }).reduce((sum: number) => (sum >>> 1) ^ (sum & 1 ? 0xedb88320 : 0), byte));
 const crc32 = (bytes: Uint8Array): number => ~bytes.reduce((sum, byte) => (TABLE[(sum ^ byte) & 255] as number) ^ (sum >>> 8), -1) >>> 0;
 /** Numbers from the lowest byte to the highest, each in its number of bytes. */
