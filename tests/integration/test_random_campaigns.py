@@ -160,6 +160,19 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
     assert present(ended.search).ended_by == "budget"
 
 
+def test_what_is_left_after_a_search_counts_the_runs_that_choose_its_best(database: Database) -> None:
+    campaign = submit_checked(database, SPEC | SEVERAL_ROUNDS | {"baseline": {"x": 0.1}})
+    working, seen = dispatcher(database, ComputedBackend(driven=noisy)), list[tuple[int, int]]()
+    while not get(database, campaign).state.ended:
+        working.step()
+        now = get(database, campaign)
+        if now.search is not None and now.search.ended_by is not None:
+            seen.append((now.progress.done, now.progress.total))
+    asked = now.cells.requested
+    assert asked - seen[0][0] > 30
+    assert all(asked - done <= 2 * (total - done) for done, total in seen)
+
+
 def test_individuals_run_under_all_seeds_of_a_round_also_where_one_of_them_is_stored(database: Database) -> None:
     whole: dict[str, Any] = {"optimizer": POPULATIONS | {"population": 40}}
     carried_out(database, budget={"simulations": 100}, replicates={"least": 1, "most": 10}, **whole)

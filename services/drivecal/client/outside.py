@@ -78,7 +78,9 @@ class AskTell:
         listed = list(sets)
         wanted = {_key(each): each for each in listed}
         is_silent = True
-        while keys := [key for key in wanted if not self._is_answered(key)]:
+        while keys := [
+            key for key in wanted if not self._weights or not self._cells.get(key, {}).keys() >= self._weights.keys()
+        ]:
             if is_silent:  # again after a wait without answers: another client may have cancelled some
                 for piece in in_pieces([{"key": key, "parameters": json.loads(_text(wanted[key]))} for key in keys]):
                     try:
@@ -115,9 +117,6 @@ class AskTell:
         if answers.is_complete and not answers.items:
             raise SearchEndedError(f"campaign {self.campaign.id} has ended ({answers.ended_by or answers.state})")
         return bool(answers.items)
-
-    def _is_answered(self, key: str) -> bool:
-        return bool(self._weights) and self._cells.get(key, {}).keys() >= self._weights.keys()
 
     def _answer(self, key: str) -> SetAnswer:
         cells, scale = self._cells[key], self.campaign.scale

@@ -2,8 +2,7 @@
 
 On a server with tokens it takes a token that may push (`author`). A server without tokens asks for a signature by the secret in its home
 folder, which only its own user can read: the command reads it, into the page it is pasted. So no foreign page and no other user of the
-machine can send code. The signature covers the pushed bytes: a program that poses as the server to the command learns nothing with which
-it could push something else.
+machine can send code. The signature covers the pushed bytes: a program that the command takes for the server can push nothing else.
 """
 
 import hashlib

@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import Sequence
 from itertools import product
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import structlog
@@ -14,6 +15,7 @@ from starlette.types import Message, Receive, Scope, Send
 from drivecal.api.http import sessions
 from drivecal.api.http.authorisation import ANYBODY, Authorisation, is_loopback_host
 from drivecal.api.routes import page_session
+from drivecal.configuration.pushing import OFF
 from drivecal.configuration.tokens import TokenFile, parse
 
 ANNA, PLANT = b"anna-0123456789abcdef", b"plant-0123456789abcdef"
@@ -298,7 +300,8 @@ def test_the_log_is_told_whose_token_it_is_and_never_the_token() -> None:
 
 def test_a_session_begins_and_ends_without_a_host_as_in_http_1_0() -> None:
     (token,) = parse(b"anna write anna-0123456789abcdef", "tokens")[0]
-    request, begun, ended = Request({"type": "http", "headers": [], "state": {"token": token}}), Response(), Response()
+    scope = {"type": "http", "headers": [], "state": {"token": token}, "app": Mock(**{"state.pushing": OFF})}
+    request, begun, ended = Request(scope), Response(), Response()
     page_session.begin_session(request, begun)
     page_session.end_session(request, ended)
     assert [answer.headers["set-cookie"].partition("=")[0] for answer in (begun, ended)] == ["drivecal-session"] * 2

@@ -1,7 +1,6 @@
 """Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
@@ -73,8 +72,10 @@ def list_evaluations(
             page, following = results.page(connection, campaign.sequence, limit=limit, cursor=cursor)
             cells = {evaluation.id: evaluation.run_id for evaluation in page} if measures else {}
             stored = evaluations.measured(connection, cells)
-        rows = (evaluation_row(evaluation) | _measured(measures, stored.get(evaluation.id)) for evaluation in page)
-        return list(rows), following
+        known = ((each, stored.get(each.id) or {}) for each in page)  # a cell without a run has no measures
+        return [
+            evaluation_row(each) | {measure_column(name): run.get(name) for name in measures} for each, run in known
+        ], following
 
     def columns() -> list[Column]:
         return _evaluation_columns(database, campaign) + [Column(measure_column(name), "number") for name in measures]
@@ -87,11 +88,6 @@ def _measures(database: Database, campaign: StoredCampaign) -> Sequence[str]:
     if campaign.kind == "evaluation":
         return ()
     return tuple(find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.measures)
-
-
-def _measured(measures: Sequence[str], stored: Mapping[str, float | None] | None) -> dict[str, Any]:
-    """Returns the columns of measures of a row; they are empty for a cell without a run."""
-    return {measure_column(name): None if stored is None else stored.get(name) for name in measures}
 
 
 @router.get("/cell")

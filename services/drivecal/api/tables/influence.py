@@ -106,8 +106,10 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
 
     def of(values: Mapping[int, float]) -> Importances | None:
         sets = stored.database.query(parameter_sets.load, list(values))
-        rows = [[_position(parameter, sets[number].floats[parameter.name]) for parameter in searched] for number in values]
-        return importances(np.array(rows).reshape(len(values), len(searched)), np.array(list(values.values())))
+        rows = [[parameter.nearest(sets[number].floats[parameter.name]) for parameter in searched] for number in values]
+        return importances(
+            np.array(rows, dtype=np.float64).reshape(len(values), len(searched)), np.array(list(values.values()))
+        )
 
     if scenario is not None:
         own = ranked.ranking.own_scores(scenario)
@@ -163,8 +165,3 @@ def _notes(stored: StoredRanking, scenario: str | None, items: Sequence[Paramete
         if item.lower >= CLEAR and item.parameter not in matters
     ]
     return notes
-
-
-def _position(parameter: Parameter, value: float | str) -> float:
-    """Returns a value as a number, the place of a choice among its texts."""
-    return float(parameter.choices.index(value)) if isinstance(value, str) else float(value)

@@ -41,6 +41,8 @@ class Replication:
         self._problem, self._answers, self._benches = problem, answers, benches
         self._taken = -1
         """The last round whose answers are taken in."""
+        self.left = 0
+        """Cells that it may still ask for after the last round."""
 
     def ask(self, connection: Connection, campaign: int, first: int, room: int, tracker: CellTracker) -> Round | None:
         """Takes the answers of the rounds before, and returns the next one; None if the best set is known, or the budget is used up.
@@ -67,14 +69,18 @@ class Replication:
             len(compared) * len(rankings[0].scenarios),
         ]
         for place, ranking in enumerate(rankings):
-            scenarios = [name for name in self._problem.scenarios if name in ranking.scenarios]
-            affordable = max(0, left - sum(reports[place + 1 :])) // len(scenarios)
+            scenarios, later = (
+                [name for name in self._problem.scenarios if name in ranking.scenarios],
+                sum(reports[place + 1 :]),
+            )
+            affordable = max(0, left - later) // len(scenarios)
             chosen = next_runs(ranking, self._problem.specification.replicates, room, affordable)
             if chosen:
                 break
         else:
-            scenarios = list(self._problem.scenarios)
+            scenarios, later = list(self._problem.scenarios), 0
             chosen = compared[: left // len(scenarios)]
+            left = len(chosen) * len(scenarios)
         sets = parameter_sets.load(connection, list({number for number, _ in chosen}))
         numbers = list(dict.fromkeys(number for number, _ in chosen))
         purposes = Purpose.CHOICE, Purpose.REPORT
@@ -83,6 +89,8 @@ class Replication:
             for number, seed in chosen
             for scenario in scenarios
         ]
+        # choosing mostly takes all that is left, reports are few
+        self.left = 0 if not cells else later if cells[0].purpose is Purpose.REPORT else left - len(cells)
         return Round(last + 1, self._benches.with_cells(cells), exact_policy(self._problem)) if cells else None
 
     def _runs_of_baseline(self, connection: Connection) -> list[tuple[int, int]]:

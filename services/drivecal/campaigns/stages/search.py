@@ -68,6 +68,8 @@ class SearchStage(Stage):
         self._confirming: Confirming | None = None
         """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
+        self._closing: int | None = 0
+        """Cells that the runs after the search may still ask for, confirmation left out; None while unknown."""
         self._limit = None if problem.search.budget is None else problem.search.budget.simulations
         if self._limit is not None:
             self._tracker.limit(self._limit)
@@ -83,7 +85,8 @@ class SearchStage(Stage):
 
     @property
     def _at_most(self) -> int:
-        return 0 if self._search.ended_by is not None else self._problem.expected_runs().calibration_at_most
+        goes_on = self._search.ended_by is None or self._closing is None
+        return self._problem.expected_runs().calibration_at_most if goes_on else 0
 
     @property
     @abstractmethod
@@ -292,7 +295,7 @@ class SearchStage(Stage):
             search=self._search.model_copy(
                 update={"reuse_seconds": reuse, "spent_minutes": self._minutes, "surest": self._leader.surest}
             ),
-            progress=self._progress(counts.requested, counts.requested + counts.pending),
+            progress=self._progress(counts.requested, counts.requested + counts.pending + (self._closing or 0)),
             error_rate=self._error_rate,
             best=self._leader.best,
             confirmation=self._confirmation,
@@ -315,6 +318,7 @@ class ComputedSearch(SearchStage):
         self._told, self._is_empty = max(0, self._next - self.window), False
         """Number of rounds whose answers the search knows, and whether it has nothing to ask for before it knows more."""
         self._replication = Replication(problem, self._answers, self._benches)
+        self._closing = None if problem.bench.is_random else 0
 
     def _awaited(self) -> Wait | None:
         """Waits until the search is restored, or has computed the next round, with more answers if it has nothing to ask for."""
@@ -403,6 +407,7 @@ class ComputedSearch(SearchStage):
         if asked is None and (is_random or self._tracker.counts.get("unrepeatable")):
             with self._database.transaction() as connection:
                 asked = self._replication.ask(connection, self._campaign.sequence, self._next, self._search.room, self._tracker)
+                self._closing = self._replication.left
                 self._leader.describe(connection)
                 self._save(connection)
         if asked is None and self._ranking.best() is None:

@@ -238,7 +238,8 @@ def _print_course(client: Client, campaign: Campaign) -> None:
 
 
 def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
-    command = _command()
+    called = Path(sys.argv[0])
+    command = "drivecal" if shutil.which("drivecal") == shutil.which(called) else _short(called.absolute())
     typer.echo(
         f"\nDone in {duration(seconds)}. Everything is kept in {_short(folder)}; look at it with\n\n"
         f"  DRIVECAL_HOME={_short(folder)} {command} serve        # leave it running, and in another terminal:\n"
@@ -249,11 +250,6 @@ def _print_end(campaign: Campaign, folder: Path, seconds: float) -> None:
         f"  {command} export {campaign.id[:8]} --table evaluations --format csv -o evaluations.csv\n"
         f"  {command} submit deploy/examples/highway.yaml --wait"
     )
-
-
-def _command() -> str:
-    """Returns the name of this command as called."""
-    return "drivecal" if shutil.which("drivecal") == shutil.which(sys.argv[0]) else _short(Path(sys.argv[0]).absolute())
 
 
 def _short(path: Path) -> str:

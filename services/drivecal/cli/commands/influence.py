@@ -15,7 +15,7 @@ from drivecal.configuration.documents import opened_document
 from drivecal.contracts.inventory import InfluenceMapAnswer
 from drivecal.contracts.tables import InfluenceRow
 from drivecal.domain.errors import ConflictError, NotFoundError
-from drivecal.sensitivity.agreement import Agreement, Pair, agreement
+from drivecal.sensitivity.agreement import Agreement, agreement
 from drivecal.sensitivity.thresholds import caveats
 
 
@@ -142,13 +142,9 @@ def _print_agreement(agreement: Agreement, first: str, second: str) -> None:
         print_columns(header, rows)
     for name, pairs in (("first", agreement.only_first), ("second", agreement.only_second)):
         if pairs:
-            typer.echo(f"only the {name} knows {_listed(pairs)}")
-
-
-def _listed(pairs: Sequence[Pair]) -> str:
-    return "; ".join(
-        f"{scenario} {', '.join(name for _, name in group)}" for scenario, group in groupby(pairs, key=lambda pair: pair[0])
-    )
+            groups = groupby(pairs, key=lambda pair: pair[0])
+            known = (f"{scenario} {', '.join(parameter for _, parameter in group)}" for scenario, group in groups)
+            typer.echo(f"only the {name} knows {'; '.join(known)}")
 
 
 maps = typer.Typer(no_args_is_help=True, help="Influence maps: where a parameter can change a scenario's score, and where not.")
