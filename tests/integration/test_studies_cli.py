@@ -78,7 +78,7 @@ def test_robustness_makes_the_study_of_an_ended_campaign_and_shows_it(run: Run, 
 
 def test_an_unknown_vehicle_is_refused_before_anything_is_driven(run: Run, api: RunningApi, ended: str) -> None:
     before = newest(api)["id"]  # a campaign that still runs changes
-    refused = run("robustness", ended, "--again", "--vehicle", "hybird")
+    refused = run("robustness", ended, "--delta", "0.03", "--vehicle", "hybird")
     assert refused.exit_code != 0
     assert newest(api)["id"] == before
 

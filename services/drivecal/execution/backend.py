@@ -17,7 +17,7 @@ DEADLINE_FACTOR = 20.0
 SETTLE_SECONDS = 12.0
 """How long runs on a living machine may outlive their worker: its keeper asks them to end, kills them, and needs some time itself."""
 LONGEST_QUEUED = 20.0
-"""Longest expected time of a batch, s, behind which another one is queued: another worker would begin that one sooner."""
+"""Longest time of a batch, s, with another one behind it, which other workers would begin sooner; processes give that one back then."""
 
 
 class BackendLostError(DrivecalError):
@@ -43,7 +43,7 @@ class Lost:
     seconds: float | None = None
     """Time of the worker; None if unknown."""
     begun: bool = True
-    """False if the batch waited behind another one, so that none of its cells was simulated."""
+    """False if the batch waited behind another one, so that none of its cells was simulated; it was taken back if the worker lives."""
     departed: bool = False
     """True if the worker left, killed from outside or with its node: its cells are not to blame."""
     starts: Mapping[int, int] | None = None

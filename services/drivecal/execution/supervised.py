@@ -20,6 +20,7 @@ from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import (
     DEADLINE_FACTOR,
     DEADLINE_SECONDS,
+    LONGEST_QUEUED,
     SETTLE_SECONDS,
     Backend,
     BackendLostError,
@@ -115,6 +116,10 @@ class SupervisedBackend(Backend, ABC):
         """Returns the starts of the simulator in a call whose worker is gone, see `Lost`."""
         return None
 
+    def _recall(self, reference: Any) -> bool:  # noqa: ARG002  # subclasses look at the call
+        """Takes a call back that waits behind another one; returns whether it will not begin. Ray tells so only when it would begin."""
+        return False
+
     def _changes(self) -> list[Finished | Lost]:
         """Follows the machines of the cluster; returns the lost batches of machines that are gone. Raises BackendLostError."""
         return []
@@ -159,6 +164,7 @@ class SupervisedBackend(Backend, ABC):
                 if worker.handle is None and worker.start_again_at <= now:
                     self._start(worker)
             events += self._collect(max(0.0, min(until, self._next_deadline()) - now))
+            events += self._take_back()
             events += self._overdue(time.monotonic())
             events += self._bury_silent()
             if not self.waits_for_workers and all(worker.failed_starts >= TRIES_TO_START for worker in self._workers):
@@ -282,6 +288,14 @@ class SupervisedBackend(Backend, ABC):
                 worker.faults, worker.reason = worker.faults + bool(worker.calls), f"{detail} and was replaced"
                 events += self._bury(worker, Breakdown.HANG, detail, None)
         return events
+
+    def _take_back(self) -> list[Finished | Lost]:
+        """Takes back the batches behind runs that take longer than expected: another worker may begin them sooner."""
+        return [
+            Lost(worker.calls.pop().batch_id, worker.name, Breakdown.ERROR, "taken back", 0.0, begun=False)
+            for worker in self._workers
+            if len(worker.calls) > 1 and worker.busy_seconds() > LONGEST_QUEUED and self._recall(worker.calls[1].reference)
+        ]
 
     def _bury(
         self, worker: WorkerProcess, breakdown: Breakdown, detail: str, cause: BaseException | None, *, departed: bool = False

@@ -94,7 +94,7 @@ class WorkerProcess:
             return False
         if not self.calls:
             return True
-        quick = all(call.expected <= LONGEST_QUEUED for call in self.calls)
+        quick = all(call.expected <= LONGEST_QUEUED for call in self.calls) and self.busy_seconds() <= LONGEST_QUEUED
         return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_WORKER
 
     def take(self, call: Call, *, alone: bool) -> None:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
-from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, bindparam, select
 
@@ -59,7 +58,7 @@ def heartbeat(connection: Connection) -> datetime | None:
 def campaign_revision(connection: Connection, campaign_id: str) -> tuple[CampaignRevision, datetime | None]:
     """Returns a campaign's revision by its id, and the dispatcher's heartbeat, by one query. Raises NotFoundError."""
     row = identified(connection, _CAMPAIGN, "campaign", campaign_id, IDS)
-    return _revision(row), row.heartbeat_at
+    return record(CampaignRevision, row, state=CampaignState(row.state)), row.heartbeat_at
 
 
 def page(
@@ -72,7 +71,7 @@ def page(
 ) -> list[CampaignRevision]:
     """Returns the campaigns that `campaigns.page` returns for the same arguments, and one more if there are more."""
     rows, _ = page_by(connection, listed(_REVISION, state, conditions), campaigns.c.sequence, limit + 1, cursor)
-    return [_revision(row) for row in rows]
+    return [record(CampaignRevision, row, state=CampaignState(row.state)) for row in rows]
 
 
 def revision(connection: Connection, sequence: int) -> int | None:
@@ -84,7 +83,3 @@ def snapshot(connection: Connection, sequence: int) -> ProgressSnapshot | None:
     """Returns the progress of a campaign; None if it is gone."""
     row = connection.execute(select(*_PROGRESS).where(campaigns.c.sequence == sequence)).one_or_none()
     return None if row is None else record(ProgressSnapshot, row, state=CampaignState(row.state))
-
-
-def _revision(row: Any) -> CampaignRevision:
-    return record(CampaignRevision, row, state=CampaignState(row.state))

@@ -6,10 +6,11 @@ import signal
 from pathlib import Path
 
 import pytest
-from tests.contract.backend.test_backend import CRASH, WELL, batch, collect, send, wait_for_idle
+from tests.contract.backend.test_backend import CRASH, HANG, WELL, batch, collect, send, wait_for_idle
 
 from drivecal.campaigns.resolve.problem import trial
 from drivecal.domain.evaluations import Breakdown
+from drivecal.execution import supervised, worker_process
 from drivecal.execution.backend import Finished, Lost
 from drivecal.execution.processes.backend import ProcessBackend
 from drivecal.execution.supervised import WorkerLimits
@@ -24,6 +25,23 @@ def test_a_lost_batch_tells_which_runs_had_begun(processes_backend: ProcessBacke
     lost = collect(processes_backend, 1)[1]
     assert isinstance(lost, Lost)
     assert lost.starts == {11: 1, 12: 1}
+
+
+def test_what_waits_behind_a_run_that_takes_longer_than_expected_is_given_back(
+    processes_backend: ProcessBackend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (supervised, worker_process):
+        monkeypatch.setattr(module, "LONGEST_QUEUED", 0.2)
+    wait_for_idle(processes_backend)
+    busy = send(processes_backend, 1, batch(HANG), 0.1)
+    processes_backend.submit(busy, 2, batch(WELL), 0.1)
+    back = collect(processes_backend, 1)[2]
+    assert isinstance(back, Lost)
+    assert (back.begun, back.breakdown) == (False, Breakdown.ERROR)
+    assert [slot.worker for slot in processes_backend.slots()] == [w.id for w in processes_backend.workers() if w.id != busy]
+    ended = collect(processes_backend, 1)[1]
+    assert isinstance(ended, Lost)
+    assert ended.starts == {1: 1}
 
 
 @pytest.mark.parametrize("start", ["subprocess.Popen", "threading.Thread.start", "tempfile.TemporaryFile"])

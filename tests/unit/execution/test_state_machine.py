@@ -181,6 +181,15 @@ class Turmoil(RuleBasedStateMachine):
         assert self.scheduler.finished(sent.batch_id, BatchResult(place.name, (), 0.1, "it has another version")) == []
         self._forget_withdrawn(sent)
 
+    @precondition(lambda self: any(len(place.batches) > 1 for place in self.places))
+    @rule(data=st.data())
+    def give_back(self, data: st.DataObject) -> None:
+        """A worker gives back what waits behind a run that takes longer than expected."""
+        place = data.draw(st.sampled_from([place for place in self.places if len(place.batches) > 1]))
+        sent = place.batches.pop()
+        assert self.scheduler.lost(Lost(sent.batch_id, place.name, Breakdown.ERROR, "it was busy", 0.0, begun=False)) == []
+        self._forget_withdrawn(sent)
+
     @precondition(lambda self: self.returned)
     @rule(data=st.data())
     def answer_late(self, data: st.DataObject) -> None:

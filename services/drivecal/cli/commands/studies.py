@@ -103,7 +103,6 @@ def validate(
         int | None, typer.Option(min=1, help="Sets of the first Latin hypercube, else 200; predictions by scenario, else all.")
     ] = None,
     references: Annotated[int | None, typer.Option(min=1, max=1000, help="Variants of each set; else 30.")] = None,
-    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
 ) -> Asked:
     """Check by simulation whether a campaign's influence map is right where it says that a parameter does not matter.
 
@@ -115,7 +114,7 @@ def validate(
     given = {"samples": samples or ALL} if predicted else {"samples": samples, "references": references}
     wanted = wanted_of(campaign, "validation", given)
     wanted = replace(wanted, settings={**wanted.settings, "of": campaign.id if predicted else None})
-    maker = None if again else known(client, campaign, wanted)
+    maker = known(client, campaign, wanted)
     if maker is None:
         stages = {"sensitivity": None if predicted else _map_of(campaign), "validation": dict(wanted.settings)}
         maker = make(client, campaign, "validation", stages)
@@ -157,13 +156,12 @@ def robustness(
     vehicle: Annotated[
         str | None, typer.Option(help="Examine the same sets in this vehicle model; the page shows both studies.")
     ] = None,
-    again: Annotated[bool, typer.Option("--again", help="Repeat the study even if one exists.")] = False,
 ) -> Asked:
     """Rank the best sets of a campaign by how far the vehicle may differ; simulates them in other vehicles if no study exists."""
     given = {"solutions": solutions, "delta": delta, "steps": steps, "samples": samples, "eta": eta}
     campaign = client.campaign(identifier)
     wanted = wanted_of(campaign, "robustness", given)
-    maker = None if again else known(client, campaign, wanted)
+    maker = known(client, campaign, wanted)
     if maker is None:
         stages = {"robustness": {**wanted.settings, "of": _source(campaign)}}
         if vehicle is not None:  # an unknown vehicle is refused before anything is driven
@@ -171,7 +169,7 @@ def robustness(
             client.expected_runs(specification(campaign, "robustness", stages | there))
         maker = make(client, campaign, "robustness", stages)
     if vehicle is not None:
-        maker = _in_another_vehicle(client, campaign, maker, vehicle, again=again)
+        maker = _in_another_vehicle(client, campaign, maker, vehicle)
     rows = client.robustness(maker.id)
     return rows, lambda: print_robustness(rows, maker.spec["robustness"], client.setup(maker.id).shapes)
 
@@ -181,14 +179,14 @@ def _source(campaign: Campaign) -> str:
     return (campaign.spec.get("robustness") or {}).get("of") or campaign.id
 
 
-def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str, *, again: bool) -> Campaign:
+def _in_another_vehicle(client: Client, campaign: Campaign, maker: Campaign, model: str) -> Campaign:
     """Returns the campaign of the same study, with all its settings and sets, in another vehicle model. The sets are named, for what the
     study has simulated may have changed which are the best."""
     examined = [row.parameters for row in client.robustness(maker.id)]
     settings: dict[str, Any] = {**maker.spec["robustness"], "of": _source(maker), "sets": examined, "solutions": 0}
     bench = {name: maker.spec.get(name) for name in BENCH} | {"vehicle": maker.spec["vehicle"] | {"model": model}}
     source = campaign if campaign.id == settings["of"] else client.campaign(settings["of"])
-    made = None if again else known(client, source, Wanted("robustness", settings, bench))
+    made = known(client, source, Wanted("robustness", settings, bench))
     stages = {"robustness": settings, "vehicle": bench["vehicle"]}
     return made or make(client, maker, f"robustness in {model}", stages)
 

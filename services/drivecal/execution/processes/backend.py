@@ -32,7 +32,8 @@ ENDING_SECONDS = 5.0
 class ConnectedProcess:
     """A running process with its connection, and answers that were not asked for yet, by the number of their call.
 
-    Threads send and receive, so that a process that is stopped, or holds its interpreter for long, delays no other.
+    Threads send and receive, so that a process that is stopped, or holds its interpreter for long, delays no other. A call is sent when
+    the one before it is answered, and can be taken back until then.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class ConnectedProcess:
         self.ended = False
         self._connection, self._arrived = connection, arrived
         self._calls: queue.SimpleQueue[RemoteCall | None] = queue.SimpleQueue()
+        self._begun, self._done, self._recalled = 0, 0, set[int]()
         self._threads = [threading.Thread(target=target, daemon=True) for target in (self._receive_all, self._send_all)]
         try:
             for thread in self._threads:
@@ -62,6 +64,12 @@ class ConnectedProcess:
     def send(self, call: RemoteCall) -> None:
         """Sends a call after those before it."""
         self._calls.put(call)
+
+    def recall(self, number: int) -> bool:
+        """Takes a call back; returns whether it was not sent yet."""
+        with self._arrived:
+            self._recalled |= {number} if number > self._begun else set()
+            return number > self._begun
 
     def starts(self, number: int) -> Mapping[int, int]:
         """Returns how many runs a call began, by cell. The process forgets them when it begins its next call."""
@@ -81,6 +89,11 @@ class ConnectedProcess:
     def _send_all(self) -> None:
         with suppress(OSError):  # the end of the process is noticed by the other thread
             while (call := self._calls.get()) is not None:
+                with self._arrived:
+                    self._arrived.wait_for(lambda: self.ended or self._done == self._begun)
+                    if call.number in self._recalled:
+                        continue
+                    self._begun = call.number or self._begun
                 self._connection.send(call)
 
     def _receive_all(self) -> None:
@@ -88,7 +101,7 @@ class ConnectedProcess:
             while True:
                 answer: RemoteAnswer = self._connection.recv()
                 with self._arrived:
-                    self.answers[answer.number] = answer
+                    self.answers[answer.number], self._done = answer, answer.number
                     self._arrived.notify_all()
         except Exception:  # noqa: BLE001  # the end of the connection, or an answer that cannot be read: no further one can be, either
             with self._arrived:
@@ -138,6 +151,9 @@ class ProcessBackend(SupervisedBackend):
         reference = SentCall(child, next(self._numbers))
         child.send(RemoteCall(reference.number, method, arguments))
         return reference
+
+    def _recall(self, reference: SentCall) -> bool:
+        return reference.child.recall(reference.number)
 
     def _is_silent(self, worker: WorkerProcess) -> bool:
         return bool(worker.handle.pulse.is_silent())

@@ -1,10 +1,8 @@
 """The process of a worker: answers the calls that arrive on a connection. Runs as `python -m ... DESCRIPTOR PULSE STARTS NAME`."""
 
 import os
-import queue
 import signal
 import sys
-import threading
 from contextlib import suppress
 from multiprocessing.connection import Connection
 
@@ -25,10 +23,8 @@ def main() -> int:
     pulse.show(int(sys.argv[2]))
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the coordinator ends its workers
-    end_with_parent(signal.SIGKILL)  # Linux only; elsewhere the end of the connection ends this process
+    end_with_parent(signal.SIGKILL)
     connection = Connection(descriptor)
-    calls: queue.SimpleQueue[RemoteCall] = queue.SimpleQueue()
-    threading.Thread(target=_receive, args=(connection, calls), name="calls", daemon=True).start()
 
     def begins(cell: int) -> None:
         with suppress(OSError):  # a full disk
@@ -36,21 +32,15 @@ def main() -> int:
 
     worker = Worker(name, BundleSessions(BundleCache(cache_folder()), begins=begins))
     while True:
-        call = calls.get()
+        try:
+            call: RemoteCall = connection.recv()
+        except (EOFError, OSError):
+            return 0  # the coordinator has closed it
         os.lseek(starts, 0, os.SEEK_SET)
         os.ftruncate(starts, 0)  # answered calls said themselves what they began
         answer = _answer(worker, call)
         if call.number:
             connection.send(answer)
-
-
-def _receive(connection: Connection, calls: "queue.SimpleQueue[RemoteCall]") -> None:
-    """Takes calls off the connection at once, so that their sender never waits for a busy worker."""
-    try:
-        while True:
-            calls.put(connection.recv())
-    except (EOFError, OSError):
-        os._exit(0)  # the coordinator is gone
 
 
 def _answer(worker: Worker, call: RemoteCall) -> RemoteAnswer:

@@ -103,7 +103,8 @@ class OwnNode:
             [sys.executable, "-P", "-m", "drivecal.cluster", "worker", address, "--cpus", "0"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            preexec_fn=_end_with_parent,  # noqa: PLW1509  # called by the main thread, before Ray starts others
+            preexec_fn=partial(end_with_parent, signal.SIGTERM),  # noqa: PLW1509  # called by the main thread, before Ray starts others
+            process_group=0,  # Ctrl-C in a terminal is for the dispatcher, which ends its node in order
         )
         try:
             self._wait(address)
@@ -136,12 +137,6 @@ def here(nodes: Collection[Node]) -> bool:
     """Returns whether one of these nodes runs on this machine."""
     services: Any = import_module("ray._private.services")
     return bool({node.id for node in nodes} & set(services.find_node_ids()))
-
-
-def _end_with_parent() -> None:
-    """Runs in the child before the command: a killed process takes its node along."""
-    end_with_parent(signal.SIGTERM)
-    os.setpgid(0, 0)  # Ctrl-C in a terminal is for the dispatcher, which ends its node in order
 
 
 LONGEST_FOLDER = 40

@@ -240,6 +240,9 @@ class Scheduler:
         worker = event.worker
         if event.breakdown is not Breakdown.ERROR:
             self._resources.leave(worker)
+        elif not event.begun:
+            self.take_back(event.batch_id)
+            return []
         sent = self._sent.pop(event.batch_id, None)
         if sent is None:
             self._is_closed(event.batch_id, done=False)
