@@ -165,14 +165,12 @@ def measure(browser: Browser, api: ApiProcess, campaign: StoredCampaign) -> dict
     result: dict[str, float] = {}
 
     first = browser.new_page(viewport={"width": 1280, "height": 900})
-    result["seconds_to_state"] = seconds_to(first, address, lambda: expect(first.get_by_text("Finished.")).to_be_visible())
+    result["seconds_to_state"] = seconds_to(first, address, first.get_by_text("Finished.").wait_for)
     first.close()
 
     page = browser.new_page(viewport={"width": 1280, "height": 900})
     page.set_default_timeout(120_000)
-    result["seconds_to_evaluations"] = seconds_to(
-        page, f"{address}/evaluations", lambda: expect(page.get_by_role("grid")).to_be_visible(timeout=120_000)
-    )
+    result["seconds_to_evaluations"] = seconds_to(page, f"{address}/evaluations", page.get_by_role("grid").wait_for)
     began = time.perf_counter()
     expect(page.get_by_text(re.compile("Reading|drawing"))).to_have_count(0, timeout=120_000)
     result["seconds_to_all"] = result["seconds_to_evaluations"] + time.perf_counter() - began
