@@ -119,12 +119,14 @@ class SearchCourse:
 @dataclass(frozen=True, slots=True)
 class Compromises:
     """The front of several objectives. `dominating`: sets that are better than the baseline in an objective and worse in none, None without
-    an evaluated one. `copied`: sets with a score of a reference. `is_close`: runs do not tell the baseline from them."""
+    an evaluated one. `is_close`: runs do not tell the baseline from them. `copied`: sets with a score of a reference. `late`: sets that the
+    second half of the rounds found."""
 
     size: int
     dominating: int | None
-    copied: int = 0
     is_close: bool = False
+    copied: int = 0
+    late: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +204,10 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _constraints(campaign, known)
         yield from (*_confirmation(campaign), *_baseline(campaign, known))
         yield from _course(campaign, search, is_random=known.is_random)
+    if front is not None and front.size and campaign.ended_by not in {None, "cancelled", "failed"}:
+        light: Light | Literal["neutral"] = "neutral" if known.is_random else "amber" if front.late else "green"
+        code = "front_grew" if front.late else "front_stood"
+        yield verdict(code, light, by=campaign.ended_by, late=front.late, size=front.size)
     if chosen is None and campaign.best is not None:
         yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best.parameters, search)
 
@@ -473,7 +479,7 @@ def _is_the_highest(campaign: Campaign) -> bool:
 def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Iterator[ResultVerdict]:
     uses_map = _setting(campaign, "mode") in {"influence", "both"}
     compared = [(study, row) for study, row in rows if row.compared and row.error_rate is not None] if uses_map else []
-    used, inspected = campaign.cells.reused > 0, _is_inspected(campaign)
+    used, inspected = campaign.cells.reused > 0, _setting(campaign, "max_error") < 1
     limit = _setting(campaign, "max_error") if inspected else _DEFAULT.max_error
     kept = "Lots keep most wrong answers out; the search may still have missed better sets."
     then = "It answered no cell." if not used else kept if inspected else "Nothing inspected them."
@@ -497,7 +503,7 @@ def _map(campaign: Campaign, rows: Sequence[tuple[str, ValidationRow]]) -> Itera
 
 def _references(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields verdicts on audits and lots of answers by references."""
-    inspected = _is_inspected(campaign)
+    inspected = _setting(campaign, "max_error") < 1
     for scenario, rate in campaign.error_rate.items():
         light: Light = "red" if rate.wrong > _DEFAULT.max_error * rate.audited and not inspected else "amber"
         if rate.wrong and (not inspected or 2 * rate.rejected > rate.lots):
@@ -532,8 +538,7 @@ def _lots(kind: str, rates: Collection[ErrorRate | Released]) -> Iterator[Result
 
 
 def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
-    unrepeatable = sum(cells.unrepeatable for cells in campaign.stages.values())
-    if unrepeatable:
+    if unrepeatable := sum(cells.unrepeatable for cells in campaign.stages.values()):
         yield verdict("noise", "amber", unrepeatable=unrepeatable)
 
 
@@ -588,11 +593,6 @@ def _newest(studies: Iterable[StudyResult], *, of_predictions: bool) -> list[tup
             if (row.released is not None) is of_predictions:
                 rows.setdefault(row.scenario, (study.study.campaign, row))
     return list(rows.values())
-
-
-def _is_inspected(campaign: Campaign) -> bool:
-    """Returns whether answers by references are inspected in lots."""
-    return bool(_setting(campaign, "max_error") < 1)
 
 
 def _setting(campaign: Campaign, name: str) -> Any:

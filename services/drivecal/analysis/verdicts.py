@@ -92,7 +92,10 @@ SEARCH = {
     "still_rising": "The best set was improved in the last of {iterations} iterations: more may improve it further.",
     "stood_still": "No iteration after the first found a better objective ({tried} tried). More iterations, wider ranges or another "
     "optimizer may find one.",
-    "ended": "The search ended by its {by}; the best objective last changed after {share:.0 %} of its rounds.",
+    "ended": "The search ended {by:end}; the best objective last changed after {share:.0 %} of its rounds.",
+    "front_grew": "The search ended {by:end}; {late:,} of {size:n set} of the front were found in the second half of its rounds: more "
+    "simulations would probably find others.",
+    "front_stood": "The search ended {by:end}; no set of the front was found in the second half of its rounds.",
     "outlook": "Twice the budget would probably improve the best objective by at most {gain:.3g}, the most that one of the search's last "
     "three doublings brought; {record:.0 %} of such estimates held in the benchmark, of new searches of deterministic simulators.",
     "no_outlook_still": "What more simulations would bring is not known: no later set was better than the first ones.",
@@ -196,6 +199,7 @@ def _ends(values: Mapping[str, float]) -> str:
 
 
 _FORMATS: Mapping[str, Any] = {
+    "end": lambda by: "when its optimizer had finished" if by == "finished" else f"by its {by}",
     "objective": objective_text,
     "id": lambda value: value[:SHORT],
     "list": ", ".join,

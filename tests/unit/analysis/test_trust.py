@@ -403,7 +403,7 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     assert ("`upper: 3` of P2 in `problem.yaml`" in bound.text, "problem.yaml" in result.text) == (True, False)
     chosen = Chosen({"P1": 0.7, "P2": 3.0})
     assert verdicts(campaign(), search=SearchCourse([], ranges), chosen=chosen)["at_ends"].numbers["values"] == {"P2": 3.0}
-    assert "at_ends" in lights(campaign(best=best), search=SearchCourse([], ranges), front=Compromises(6, None, 0))
+    assert "at_ends" in lights(campaign(best=best), search=SearchCourse([], ranges), front=Compromises(6, None))
 
 
 @pytest.mark.parametrize(
@@ -442,7 +442,15 @@ def test_a_chosen_set_is_judged_by_its_own_scores() -> None:
 def test_several_objectives_count_the_sets_that_beat_the_baseline(dominating: int | None, code: str | None) -> None:
     result = lights(campaign("exact", baseline=before(4.0)), front=Compromises(7, dominating))
     assert {"front_beats_baseline", "front_not_better", "better_than_baseline"} & set(result) == ({code} if code else set())
-    assert lights(campaign("exact"), front=Compromises(7, None, 2))["front_copied"] == "amber"
+    assert lights(campaign("exact"), front=Compromises(7, None, copied=2))["front_copied"] == "amber"
+
+
+@pytest.mark.parametrize(("late", "is_random", "light"), [(3, False, "amber"), (0, False, "green"), (3, True, "neutral")])
+def test_a_front_that_still_grew_is_not_finished(late: int, is_random: bool, light: str) -> None:
+    ended = campaign("exact", ended_by="budget")
+    result = verdicts(ended, front=Compromises(7, None, late=late), is_random=is_random)
+    [found] = [each for code, each in result.items() if code in {"front_grew", "front_stood"}]
+    assert (found.light, found.numbers["late"]) == (light, late)
 
 
 def test_a_robustness_study_says_how_far_the_recommended_set_holds() -> None:

@@ -134,11 +134,6 @@ def test_curves_are_tried_and_printed_as_lists(write: Write) -> None:
     assert "gain=[1.25, 1.25, 1.25]" in command("problem", "check", folder).stdout
 
 
-def test_offline_nothing_runs(write: Write) -> None:
-    code, report = check(write("raise SystemExit(7)"), "--offline")
-    assert (code, report["scenarios"], report["parameters"]) == (0, [], None)
-
-
 def test_different_bits_are_told_and_fail_where_the_simulator_claims_to_be_deterministic(write: Write) -> None:
     noisy = "import itertools\nnumbers = itertools.count()\ndef evaluate(p, s):\n    return {'energy': 1.0 + next(numbers)}\n"
     code, report = check(write(noisy, deterministic=False))

@@ -172,11 +172,14 @@ def _compromises(stored: StoredRanking, front: CampaignFront | None) -> Compromi
     if not campaign.state.ended:
         return Compromises(0, None)
     front = front or front_of(stored)
-    baseline = front.baseline
-    copied = sum(bool(member.solution.reused) for member in front.members)
-    if baseline is None:
-        return Compromises(len(front.members), None, copied)
-    return Compromises(len(front.members), front.dominating(baseline), copied, baseline.parameter_set in front.unbeaten)
+    baseline, last = front.baseline, max((each.iteration for each in front.ranked), default=0)
+    return Compromises(
+        len(front.members),
+        None if baseline is None else front.dominating(baseline),
+        is_close=baseline is not None and baseline.parameter_set in front.unbeaten,
+        copied=sum(bool(member.solution.reused) for member in front.members),
+        late=sum(2 * member.solution.iteration > last for member in front.members),
+    )
 
 
 def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:

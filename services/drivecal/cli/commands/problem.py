@@ -55,13 +55,12 @@ def init(
 
 
 @problems.command()
-def check(
-    folder: FolderArgument,
-    offline: Annotated[bool, typer.Option("--offline", help="Check the files only; run nothing.")] = False,
-    as_json: JsonOption = False,
-) -> None:
+def check(folder: FolderArgument, as_json: JsonOption = False) -> None:
     """Check a problem without a server: its files, then each scenario twice at the baseline or in the middle of the space, and at
     another set that keeps the constraints."""
+    from drivecal.bundles.shapes import with_coefficients, with_points
+    from drivecal.local import problems as local  # the workers' code, for this command only
+
     manifest, archive, notes = read_bundle_with_notes(folder)
     for note in notes:
         say(note)
@@ -71,43 +70,27 @@ def check(
         "size": len(archive),
         "files": list(files_of(archive)),
         "deterministic": manifest.simulator.deterministic,
-        "tools": None,
         "notes": list(notes),
-        "parameters": None,
-        "other_parameters": None,
-        "scenarios": [],
-        "warnings": [],
+        "tools": local.ask_probe(manifest, archive),
     }
     checked: list[CheckedScenario] = []
     told: dict[str, str] = {}
-    if not offline:
-        from drivecal.bundles.shapes import with_coefficients, with_points
-        from drivecal.local.problems import (
-            ask_probe,
-            cut_scores,
-            doubtful_ranges,
-            other_set,
-            run_problem,
-            trial_set,
-            undeclared,
-        )  # the workers' code, for this command only
-
-        report["tools"] = ask_probe(manifest, archive)
-        parameters, other = trial_set(manifest), other_set(manifest)
-        for field, tried in (("parameters", parameters), ("other_parameters", other)):
-            report[field] = tried and with_points(tried, manifest.shapes, {"kind": manifest.simulator.kind})
-        say(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
-        for result in run_problem(manifest, archive, parameters, other):
-            if not as_json:
-                sentence = _sentence(manifest, result)
-                first = told.setdefault(sentence, result.scenario)
-                say(f"{result.scenario}: {sentence if first == result.scenario else f'as {first}'}")
-            checked.append(result)
-        if not any(result.other for result in checked):
-            report["other_parameters"] = None  # no scenario came to it
-        with_coefficients(manifest.baseline or {}, manifest.shapes, "baseline", notes=report["warnings"])
-        report["warnings"] += [*doubtful_ranges(manifest, checked), *cut_scores(manifest, checked)]
-        report["warnings"] += [*_doubts_elsewhere(manifest, checked), *undeclared(manifest, checked)]
+    parameters, other = local.trial_set(manifest), local.other_set(manifest)
+    for field, tried in (("parameters", parameters), ("other_parameters", other)):
+        report[field] = tried and with_points(tried, manifest.shapes, {"kind": manifest.simulator.kind})
+    say(f"a run may take {manifest.simulator.timeout:g} s (`simulator.timeout` in problem.yaml)")
+    for result in local.run_problem(manifest, archive, parameters, other):
+        if not as_json:
+            sentence = _sentence(manifest, result)
+            first = told.setdefault(sentence, result.scenario)
+            say(f"{result.scenario}: {sentence if first == result.scenario else f'as {first}'}")
+        checked.append(result)
+    if not any(result.other for result in checked):
+        report["other_parameters"] = None  # no scenario came to it
+    warnings = list[str]()
+    with_coefficients(manifest.baseline or {}, manifest.shapes, "baseline", notes=warnings)
+    warnings += [*local.doubtful_ranges(manifest, checked), *local.cut_scores(manifest, checked)]
+    report["warnings"] = [*warnings, *_doubts_elsewhere(manifest, checked), *local.undeclared(manifest, checked)]
     report["scenarios"] = [asdict(result) | {"opened": sorted(result.opened)} for result in checked]
     print_answer(report, as_json, lambda: _print_check(report, checked))
     broken = [result for result in checked if result.error or (manifest.simulator.deterministic and not result.repeats)]
