@@ -15,7 +15,7 @@ HELD_OUT = 1 / 3
 TREES = 100
 REPEATS = 5
 UNEXPLAINED = 1 / 8
-"""Share of what the forest does not predict that counts to the upper end of each importance: it may be an effect of that parameter."""
+"""Addition to the upper end of each importance, in parts of the root of the share that the forest does not predict."""
 RESAMPLED = 1_000
 """Bootstrap samples behind an interval."""
 
@@ -23,10 +23,10 @@ RESAMPLED = 1_000
 @dataclass(frozen=True, slots=True)
 class Importances:
     """Half the fall of R² on held-out sets when a parameter's values are shuffled among them: the total effect of an independent parameter
-    as a share of their variation (Jansen 1999), where the forest predicts them. `mean`, shape (n_parameters,), is over the
-    repetitions. `lower` and `upper` bound the 95 % interval over the choice of held-out sets; `upper` holds
-    UNEXPLAINED as well. `r2` is R² without shuffling: 1 if the forest predicts the held-out sets exactly, 0 if no better than their mean.
-    `held_out` of the `sets` were kept for the test."""
+    as a share of their variation (Jansen 1999), where the forest predicts them. `mean`, shape (n_parameters,), is over the repetitions.
+    `lower` and `upper` bound the 95 % interval. A forest that predicts a part s of each deviation from the mean has an R² of 1 - (1 - s)²
+    and shows the part s of a total effect: `upper` is divided by it. `r2` is R² without shuffling: 1 if the forest predicts the held-out
+    sets exactly, 0 if no better than their mean. `held_out` of the `sets` were kept for the test."""
 
     mean: Floats
     lower: Floats
@@ -60,8 +60,9 @@ def importances(features: Floats, values: Floats) -> Importances | None:
         predicted = forest.predict(shuffled.reshape(-1, features.shape[1])).reshape(REPEATS, len(judged))
         losses[column] = (undisturbed - _r2(predicted, values[judged])) / 2
         added[column] = (((predicted - values[judged]) ** 2).mean(axis=0) - (own - values[judged]) ** 2) / 2
-    ends = _interval(added, values[judged], generator) + np.array([[0.0], [UNEXPLAINED * (1.0 - max(undisturbed, 0.0))]])
-    lower, upper = np.minimum(ends, 1.0)  # no share is more than all
+    lower, upper = _interval(added, values[judged], generator)
+    left = (1.0 - max(undisturbed, 0.0)) ** 0.5
+    lower, upper = np.minimum([lower, upper / max(1.0 - left, 1e-9) + UNEXPLAINED * left], 1.0)  # no share is more than all
     return Importances(losses.mean(axis=1), lower, upper, undisturbed, len(values), len(judged))
 
 

@@ -43,11 +43,16 @@ class Lost:
     seconds: float | None = None
     """Time of the worker; None if unknown."""
     begun: bool = True
-    """False if the batch waited behind another one, so that none of its cells was simulated; it was taken back if the worker lives."""
+    """False if the batch waited behind another one, so that none of its cells was simulated."""
     departed: bool = False
     """True if the worker left, killed from outside or with its node: its cells are not to blame."""
     starts: Mapping[int, int] | None = None
     """Starts of the simulator by cell, those without any left out; None if nothing is known."""
+
+    @property
+    def is_back(self) -> bool:
+        """True if the batch was taken back: its worker lives."""
+        return self.breakdown is Breakdown.ERROR and not self.begun
 
     def blamed(self, cells: Collection[int]) -> Collection[int]:
         """Returns the cells that may have ended the worker: the started ones, or all of the running batch if no start is known."""

@@ -44,9 +44,11 @@ class Activity:
     def came_back(self, worker: str, batch_id: int, cells: int, seconds: float) -> None:
         """Notes a returned or lost batch, with the number of its results and its duration."""
         desk = self._desks.get(worker)
-        if desk is None or desk.batches.pop(batch_id, None) is None:
+        if desk is None or batch_id not in desk.batches:
             return
-        desk.since = self._clock()
+        if batch_id == next(iter(desk.batches)):  # the one behind it begins
+            desk.since = self._clock()
+        del desk.batches[batch_id]
         if cells and seconds > 0:
             desk.recent.append((cells, seconds))
 

@@ -82,10 +82,11 @@ class Questions:
             if result.tools is None:
                 question.refuse(result.worker, result.refusal or "it gave no answer")
 
-    def lost(self, batch_id: int, worker: str, detail: str) -> None:
-        """Notes that a worker was lost while it was asked."""
-        for question in self._sent(batch_id):
-            question.refuse(worker, detail)
+    def lost(self, event: Lost) -> None:
+        """Notes that a worker was lost while it was asked, unless the question was taken back."""
+        for question in self._sent(event.batch_id):
+            if not event.is_back:
+                question.refuse(event.worker, event.detail)
 
     def is_kept_from(self, worker: str) -> bool:
         """True if a campaign waits for an answer that this worker could not give."""
@@ -270,8 +271,9 @@ class WorkPool:
             self._questions.answered(event.batch_id, event.result)
             self._scheduler.refusals.note(event.result.worker, None, event.result.refusal)
         else:
-            self._questions.lost(event.batch_id, event.worker, event.detail)
-            self._scheduler.refusals.note(event.worker, None, event.detail)  # it may live
+            self._questions.lost(event)
+            if not event.is_back:
+                self._scheduler.refusals.note(event.worker, None, event.detail)  # it may live
 
     def _fill(self) -> None:
         """Fills the free slots. Replaces idle workers that nothing can be sent to, and asks busy workers again that refused a setup."""

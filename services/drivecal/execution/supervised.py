@@ -174,7 +174,9 @@ class SupervisedBackend(Backend, ABC):
         return events
 
     def slots(self) -> list[Slot]:
-        slots = [Slot(worker.name, not worker.calls) for worker in self._workers if worker.room(alone=False)]
+        # `submit` looks at `room` alone: what is offered stays, even if the run takes too long meanwhile
+        offered = (each for each in self._workers if each.room(alone=False) and each.busy_seconds() <= LONGEST_QUEUED)
+        slots = [Slot(worker.name, not worker.calls) for worker in offered]
         return sorted(slots, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:

@@ -94,7 +94,7 @@ class WorkerProcess:
             return False
         if not self.calls:
             return True
-        quick = all(call.expected <= LONGEST_QUEUED for call in self.calls) and self.busy_seconds() <= LONGEST_QUEUED
+        quick = all(call.expected <= LONGEST_QUEUED for call in self.calls)
         return quick and not alone and not self.alone and len(self.calls) < CALLS_PER_WORKER
 
     def take(self, call: Call, *, alone: bool) -> None:
@@ -119,9 +119,8 @@ class WorkerProcess:
         return call
 
     def busy_seconds(self) -> float:
-        """Time (s) since the running call began."""
-        begun = self.deadline - self.calls[0].seconds if self.calls else self.deadline
-        return max(0.0, time.monotonic() - begun)
+        """Time (s) since the running call began; 0 without one."""
+        return max(0.0, time.monotonic() - self.deadline + self.calls[0].seconds) if self.calls else 0.0
 
     def lose(self, breakdown: Breakdown, detail: str, *, departed: bool = False) -> list[Lost]:
         """All its calls are gone; only the running one has taken time."""

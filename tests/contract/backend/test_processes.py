@@ -34,10 +34,11 @@ def test_what_waits_behind_a_run_that_takes_longer_than_expected_is_given_back(
         monkeypatch.setattr(module, "LONGEST_QUEUED", 0.2)
     wait_for_idle(processes_backend)
     busy = send(processes_backend, 1, batch(HANG), 0.1)
-    processes_backend.submit(busy, 2, batch(WELL), 0.1)
-    back = collect(processes_backend, 1)[2]
-    assert isinstance(back, Lost)
-    assert (back.begun, back.breakdown) == (False, Breakdown.ERROR)
+    for number in (2, 3):  # the second time it is known already that the run takes long, which the pool may not have noticed
+        processes_backend.submit(busy, number, batch(WELL), 0.1)
+        back = collect(processes_backend, 1)[number]
+        assert isinstance(back, Lost)
+        assert (back.begun, back.breakdown) == (False, Breakdown.ERROR)
     assert [slot.worker for slot in processes_backend.slots()] == [w.id for w in processes_backend.workers() if w.id != busy]
     ended = collect(processes_backend, 1)[1]
     assert isinstance(ended, Lost)

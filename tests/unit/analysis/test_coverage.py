@@ -4,13 +4,15 @@ The figures of docs/pages/concepts/predictions.md come from `python -m tests.uni
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
+from tests.support.values import present
 
 from drivecal.analysis.front import non_dominated
-from drivecal.analysis.importance import _interval
+from drivecal.analysis.importance import importances
 from drivecal.analysis.replicates import assess, interval, rate_bounds
 from drivecal.analysis.robustness import undetected_share
 from drivecal.analysis.validation import mean_interval
@@ -65,18 +67,22 @@ def boxes(failing: float, samples: int, compared: int) -> Row:
     return 1.0 - float(wrong.mean()), undetected_share(samples, compared), undetected_share(samples, compared)
 
 
-def importance(size: int) -> Row:
-    """Squared error that shuffling adds, over the variation of the values, on sets that are drawn anew in each repeat."""
-    random = np.random.default_rng(5)
-    held, widths = 0, []
-    for _ in range(REPEATS):
-        first, other = random.uniform(size=(2, size))
-        shuffled = random.permutation(first)
-        values = first + 0.3 * other
-        lower, upper = _interval(((shuffled - first) ** 2)[np.newaxis], values, random)
-        held += lower[0] <= (1 / 6) / ((1 + 0.09) / 12) <= upper[0]
-        widths.append(upper[0] - lower[0])
-    return held / REPEATS, float(np.mean(widths)), None
+def importance(function: Callable[[Any], Any], effects: Sequence[float], size: int) -> Row:
+    """Total effects of parameters that are drawn evenly from 0 to 1, as shares of the variation."""
+    random, truths = np.random.default_rng(5), np.array(effects)
+    held, widths = list[float](), list[float]()
+    for _ in range(REPEATS // len(truths)):
+        sets = random.uniform(size=(size, len(truths)))
+        result = present(importances(sets, function(sets)))
+        held.append(float(((result.lower <= truths) & (truths <= result.upper)).mean()))
+        widths.append(float((result.upper - result.lower).mean()))
+    return float(np.mean(held)), float(np.mean(widths)), None
+
+
+def ishigami(sets: Any) -> Any:
+    """Ishigami and Homma 1990, on 0 to 1. Of the variation 0.558, 0.442 and 0.244 are total effects of the first three parameters."""
+    x, y, z = (np.pi * (2 * sets[:, place] - 1) for place in range(3))
+    return np.sin(x) + 7 * np.sin(y) ** 2 + 0.1 * z**4 * np.sin(x)
 
 
 def random_sets(common: float, *, part: str, rare: float = 0.0) -> Row:
@@ -122,7 +128,12 @@ TABLE: dict[str, Callable[[], Row]] = {
     "released errors, 8 lots of 250 with 3 wrong (at most)": lambda: lots(3, 8, PLAN),
     "failing vehicles, 10 % in every box, 1 set (up to)": lambda: boxes(0.1, 30, 1),
     "failing vehicles, 10 % in every box, the best of 20 sets (up to)": lambda: boxes(0.1, 30, 20),
-    "importance, 100 held-out sets": lambda: importance(100),
+    "importance, 4 a + 2 b + c + d/2 of five parameters, 300 sets": lambda: importance(
+        lambda sets: sets @ [4.0, 2.0, 1.0, 0.5, 0.0], [0.7529, 0.1882, 0.0471, 0.0118, 0], 300
+    ),
+    "importance, Ishigami's function of five parameters, 150 sets": lambda: importance(
+        ishigami, [0.5576, 0.4424, 0.2437, 0, 0], 150
+    ),
     "best of 20 random sets": lambda: random_sets(0.0, part="best"),
     "best of 20 random sets, seeds do ten times as much as their own noise": lambda: random_sets(10.0, part="best"),
     RARE: lambda: random_sets(0.0, part="best", rare=0.04),

@@ -20,6 +20,8 @@ def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_b
     assert activity.describe([WORKER]) == [WORKER]
     activity.sent("worker-1", 1, "S1")
     now[0] = 60.0
+    activity.sent("worker-1", 3, "S3")
+    activity.came_back("worker-1", 3, 0, 0.0)  # it was taken back
     activity.sent("worker-1", 2, "S2")
     (first,) = activity.describe([WORKER])
     assert (first.scenario, first.since, first.cells_per_second) == ("S1", datetime(1970, 1, 1, 0, 0, tzinfo=UTC), None)

@@ -9,6 +9,8 @@ from tests.support.fake_backend import FakeBackend
 from tests.support.pooled import MemoryLeases
 
 from drivecal.contracts.work import Cell, SetupRequest
+from drivecal.domain.evaluations import Breakdown
+from drivecal.execution.backend import Lost
 from drivecal.execution.pool import WorkPool
 from drivecal.execution.scheduling.in_flight import Work
 from drivecal.execution.scheduling.refusals import PATIENCE_WITH_ANSWERS, PATIENCE_WITH_REFUSALS
@@ -54,6 +56,15 @@ def test_a_worker_that_dies_of_the_question_is_not_asked_twice() -> None:
     assert pool.probe(setup(), "a") is None
     pool._fill()
     backend.kill(0)
+    assert answer(pool) == "2.1"
+
+
+def test_a_question_that_is_taken_back_is_no_refusal() -> None:
+    pool = pool_on(FakeBackend(1, tools={1: "2.1"}))
+    assert pool.probe(setup(), "a") is None
+    pool._fill()
+    pool._take_in(Lost(-1, "worker-1", Breakdown.ERROR, "taken back", 0.0, begun=False))
+    assert pool.trouble() is None
     assert answer(pool) == "2.1"
 
 

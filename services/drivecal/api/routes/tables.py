@@ -1,6 +1,6 @@
 """Tables of a campaign, as pages of JSON or whole in CSV and Parquet."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 from fastapi import APIRouter, Response
 from pydantic import BaseModel
@@ -64,7 +64,9 @@ def list_evaluations(
     """Requested cells, ordered by stage, iteration, individual and scenario; with `measures` also the measures of their runs,
     or of the runs that answered them."""
     campaign = _campaign(database, campaign_id)
-    measures = _measures(database, campaign) if query.measures else ()
+    measures = list[str]()
+    if query.measures and campaign.kind != "evaluation":
+        measures += find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.measures
 
     def pages(limit: int, cursor: str | None) -> tuple[list[Row], str | None]:
         with database.read() as connection:
@@ -81,13 +83,6 @@ def list_evaluations(
         return _evaluation_columns(database, campaign) + [Column(measure_column(name), "number") for name in measures]
 
     return table_answer(f"evaluations-{campaign.id}", query, accept, columns, pages)
-
-
-def _measures(database: Database, campaign: StoredCampaign) -> Sequence[str]:
-    """Returns the names of the measures of a campaign's problem."""
-    if campaign.kind == "evaluation":
-        return ()
-    return tuple(find_workbench(specification_of(campaign), stored_bundles(database), Diagnostics()).known.measures)
 
 
 @router.get("/cell")

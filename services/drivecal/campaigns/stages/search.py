@@ -69,7 +69,7 @@ class SearchStage(Stage):
         """The sets that are simulated after the search; None before its end."""
         self._confirmation = campaign.confirmation
         self._closing: int | None = 0
-        """Cells that the runs after the search may still ask for, confirmation left out; None while unknown."""
+        """Cells that the runs after the search may still ask for to choose the best of random ones; None while unknown."""
         self._limit = None if problem.search.budget is None else problem.search.budget.simulations
         if self._limit is not None:
             self._tracker.limit(self._limit)
@@ -85,7 +85,8 @@ class SearchStage(Stage):
 
     @property
     def _at_most(self) -> int:
-        goes_on = self._search.ended_by is None or self._closing is None
+        varies = self._problem.bench.is_random or self._tracker.counts.get("unrepeatable", 0) > 0
+        goes_on = self._search.ended_by is None or (varies and self._closing is None)
         return self._problem.expected_runs().calibration_at_most if goes_on else 0
 
     @property
@@ -318,7 +319,7 @@ class ComputedSearch(SearchStage):
         self._told, self._is_empty = max(0, self._next - self.window), False
         """Number of rounds whose answers the search knows, and whether it has nothing to ask for before it knows more."""
         self._replication = Replication(problem, self._answers, self._benches)
-        self._closing = None if problem.bench.is_random else 0
+        self._closing = None
 
     def _awaited(self) -> Wait | None:
         """Waits until the search is restored, or has computed the next round, with more answers if it has nothing to ask for."""

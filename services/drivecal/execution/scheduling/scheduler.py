@@ -237,12 +237,12 @@ class Scheduler:
     def lost(self, event: Lost) -> list[Completed]:
         """Takes the loss of a batch: the blamed cells are tried again one by one, and fail without attempts left, or without a budget for
         another one. A cell without a start takes nothing from a budget. The breakdown is `ERROR` if the worker lives."""
+        if event.is_back:
+            self.take_back(event.batch_id)
+            return []
         worker = event.worker
         if event.breakdown is not Breakdown.ERROR:
             self._resources.leave(worker)
-        elif not event.begun:
-            self.take_back(event.batch_id)
-            return []
         sent = self._sent.pop(event.batch_id, None)
         if sent is None:
             self._is_closed(event.batch_id, done=False)
