@@ -9,8 +9,7 @@ M_ARENA_MAX = -8
 """Constant of glibc's malloc.h."""
 EVERY_SECONDS = 60.0
 """Pause between two times at which memory is given back; one takes some milliseconds."""
-_LIBC = ctypes.CDLL(None)
-"""The C library, which has the functions below if it is glibc."""
+_LIBC = ctypes.CDLL(None)  # which has the functions below if it is glibc
 
 
 def settle() -> None:

@@ -17,7 +17,7 @@ from drivecal.storage.engine.types import now
 KIND = "problem"
 MOST_NAMES = 1_000
 """Largest number of names, last pushed first, that are compared with a misspelt one."""
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+_DIGEST, _ABBREVIATED = re.compile(r"[0-9a-f]{64}"), re.compile(r"[0-9a-f]{8,63}")
 _later = bundles.alias("later")
 _latest = ~exists().where(_later.c.name == bundles.c.name, _later.c.pushed > bundles.c.pushed)
 _HEADING: list[Any] = [column for column in bundles.c if column.name not in {"archive", "manifest"}]
@@ -82,9 +82,17 @@ def by_name(connection: Connection, name: str) -> StoredBundle:
 
 
 def named(connection: Connection, name_or_digest: str) -> StoredBundle:
-    """Returns the bundle of a digest or a name. Raises NotFoundError."""
-    find = by_digest if _DIGEST.fullmatch(name_or_digest) else by_name
-    return find(connection, name_or_digest)
+    """Returns the bundle of a digest or a name, else of the only digest that begins so. Raises NotFoundError."""
+    if _DIGEST.fullmatch(name_or_digest):
+        return by_digest(connection, name_or_digest)
+    try:
+        return by_name(connection, name_or_digest)
+    except NotFoundError:
+        begun = select(bundles.c.digest).where(bundles.c.digest.startswith(name_or_digest)).limit(2)
+        found = connection.scalars(begun).all() if _ABBREVIATED.fullmatch(name_or_digest) else ()
+        if len(found) != 1:
+            raise
+        return by_digest(connection, found[0])
 
 
 def manifests(connection: Connection, name: str) -> dict[str, Mapping[str, Any]]:

@@ -12,6 +12,7 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
+from drivecal.analysis.front import non_dominated
 from drivecal.analysis.goals import SCORE
 from drivecal.analysis.replicates import assess, choosing
 from drivecal.analysis.solutions import over_seeds
@@ -37,6 +38,8 @@ from drivecal.storage.references import runs
 
 MOST_BEST = 3
 """Best stored sets by each objective that a search begins with."""
+MOST_FRONT = 12
+"""Sets of the stored front that it begins with as well, from one end to the other."""
 SURE = 0.95
 """Confidence of what such a set reaches at least if its runs are random."""
 MOST_KNOWN, MOST_READ = 2_000, 10_000
@@ -204,6 +207,12 @@ def _best_known(aims: Sequence[Aim], known: Sequence[CellAnswer]) -> list[tuple[
             standing = assess(np.where(np.isnan(violations), np.nan, samples)[whole])
             order = np.lexsort((-standing.bounds(SURE), np.nanmean(violations[whole], axis=1)))[:MOST_BEST]
             best |= dict.fromkeys(sets[place] for place in whole[order].tolist())
+        if objectives.shape[1] > 1 and len(whole):  # what it knows of the front fills no gap in its own
+            points = np.nanmean(objectives.reshape(*violations.shape, -1)[whole], axis=1)
+            mask = non_dominated(points, np.nanmean(violations[whole], axis=1))
+            front = sorted(np.flatnonzero(mask).tolist(), key=lambda place: points[place, 0])
+            evenly = np.linspace(0, len(front) - 1, min(len(front), MOST_FRONT)).round().astype(np.int64)
+            best |= dict.fromkeys(sets[whole[front[at]]] for at in evenly.tolist())
     return list(best)
 
 

@@ -286,6 +286,9 @@ def check(
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
             typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
+        if findings:
+            tried = "; ".join(dict.fromkeys(finding.limit for finding in findings))
+            typer.echo(f"kept in {len(findings) - len(broken)} of {len(findings)} places: {tried}")
         for note in [*checked.notes, *([] if findings else ["no limit was tested; --limits FILE gives some"])]:
             say(f"note: {note}")
         for finding in broken:

@@ -211,7 +211,10 @@ def _calibration_file(
         chosen = next(islice(client.rows(identifier, table, **query), row - 1, None), None)
         if chosen is None:
             raise NotFoundError("set", f"{identifier}#{row}", "fewer sets are ranked")
-        document = {"parameters": chosen["parameters"]}
+        whole = {each.name for each in client.setup(identifier).parameters if each.kind == "integer"}
+        document = {
+            "parameters": {name: int(value) if name in whole else value for name, value in chosen["parameters"].items()}
+        }
         written = json.dumps(document, ensure_ascii=False, indent=1) + "\n"
         return (
             written if form == "json" else yaml.dump(document, Dumper=_Quoting, sort_keys=False, allow_unicode=True)

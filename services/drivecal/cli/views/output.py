@@ -80,7 +80,9 @@ def print_answer(answer: object, as_json: bool, show: Show) -> None:
 
 def print_columns(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Prints rows under a header, numbers to the right, text to the left."""
-    cells = [[_text(value) for value in row] for row in rows]
+    cells = [
+        ["-" if value is None else f"{value:g}" if isinstance(value, float) else str(value) for value in row] for row in rows
+    ]
     numeric = [all(_is_number(row[column]) for row in cells) for column in range(len(header))]
     widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
     for line in [list(header), *cells]:
@@ -385,12 +387,6 @@ def duration(seconds: float) -> str:
 def when(moment: datetime | None) -> str:
     """Returns a moment in the reader's time zone, with its offset: an hour comes twice when daylight saving time ends."""
     return "" if moment is None else moment.astimezone().isoformat(sep=" ", timespec="seconds")
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return "-"
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _is_number(text: str) -> bool:

@@ -307,7 +307,8 @@ def _baseline_line(summary: FrontSummary, baseline: FrontBaseline) -> str:
     units = {objective.name: unit_text(objective.unit) for objective in summary.objectives}
     amounts = ", ".join(f"{name} {amount:.6g}{units[name]}" for name, amount in baseline.objectives.items())
     broken = f"; {broken_text(baseline)}" if baseline.violation > 0 else ""
-    place = "sets of the front beat it" if baseline.rank is None else f"on the front, rank {baseline.rank}"
+    beaten = "it breaks more of the constraints" if baseline.violation > 0 else "sets of the front beat it"
+    place = beaten if baseline.rank is None else f"on the front, rank {baseline.rank}"
     return f"baseline: {amounts} ({place}){broken}"
 
 

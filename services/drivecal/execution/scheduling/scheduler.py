@@ -304,7 +304,7 @@ class Scheduler:
             setup = self._in_flight.setup(key)
             if (reason := self._resources.why(setup)) is not None:
                 reasons.setdefault(reason, []).append(setup.scenario)
-        said = [f"{', '.join(sorted(scenarios))}: {reason}" for reason, scenarios in sorted(reasons.items())]
+        said = [f"{', '.join(sorted(set(scenarios)))}: {reason}" for reason, scenarios in sorted(reasons.items())]
         if not said and (higher := self._higher_than(tag)) is not None:
             said.append(f"all workers are at campaigns of a higher priority, up to {higher}")
         return f"cells wait; {'; '.join(said)}" if said else None

@@ -13,6 +13,8 @@ from drivecal.plugins.search import Aim
 
 AUGMENTATION = 0.05
 """Weight of the sum, which is added to the largest distance, so that every objective counts (Knowles 2006, ParEGO)."""
+REACH = 0.6
+"""Part of the front's ranges by which half of the sets aim beyond its best values: from these alone, no set would seek a further end."""
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,17 @@ class Merit:
     all others, by their violations.
     """
 
-    def __init__(self, aim: Aim, standing: Standing, direction: Floats) -> None:
-        """`direction`: positive weights of the objectives, shape (m,), sum 1."""
+    def __init__(self, aim: Aim, standing: Standing, direction: Floats, reach: float = 0.0) -> None:
+        """`direction`: positive weights of the objectives, shape (m,), sum 1. `reach`: distance, in the front's ranges, of the aimed values
+        beyond the best ones of the front."""
         self._aim, self._direction = aim, direction
         self.noise = 0.0
         """Deviation of the merit of a single answer in each scenario."""
         self.least_gain = 0.0
         """Gain from which on a set counts as an improvement."""
-        self._ideal, lowest = standing.front
-        self._span = np.where(self._ideal > lowest, self._ideal - lowest, 1.0)
+        best, lowest = standing.front
+        self._span = np.where(best > lowest, best - lowest, 1.0)
+        self._ideal = best + reach * self._span
         known = self._scalar(standing.objectives)
         self._floor = float(known.min()) if len(known) else 0.0
         self.unit = float(np.ptp(known)) if len(known) and np.ptp(known) > 0 else 1.0

@@ -16,7 +16,7 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]  
 from drivecal.domain.parameters import Indices
 from drivecal.optimizers.surrogate.answers import Answers, BegunSet
 from drivecal.optimizers.surrogate.gaussian_process import Encoding
-from drivecal.optimizers.surrogate.merits import Merit, Standing
+from drivecal.optimizers.surrogate.merits import REACH, Merit, Standing
 from drivecal.optimizers.surrogate.models import Bools, ScenarioModel
 from drivecal.plugins.ports import Floats
 from drivecal.plugins.search import Aim, AskedCell, CellAnswer, SearchTask
@@ -268,7 +268,8 @@ class SurrogateSearch:
         key = number if self._aim.objectives > 1 else place
         if key not in self._merits:
             direction = self._generator(DIRECTION, key).dirichlet(np.ones(self._aim.objectives))
-            self._merits[key] = merit = Merit(self._aims[place], self._standings[place], direction)
+            reach = REACH * (key // len(self._aims) % 2)
+            self._merits[key] = merit = Merit(self._aims[place], self._standings[place], direction, reach)
             if self._task.random and (complete := self._answers.complete(self._needs[place])):
                 best = complete[int(np.argmax(merit(self._values(complete))))]
                 merit.noise = self._noise(best, merit)

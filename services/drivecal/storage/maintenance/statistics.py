@@ -46,7 +46,8 @@ def read(connection: Connection) -> Statistics:
     if dispatcher is not None:  # cells at workers, and cells that broke down: never many
         current = (leases_table.c.term == dispatcher.term) & leases_table.c.at_worker
         out = connection.scalar(select(func.count()).select_from(leases_table).where(current)) or 0
-    waiting = Counter(_awaited(state, reason) for *_, state, reason in waits(connection))
+    idle = {CampaignState.QUEUED, CampaignState.PAUSED}
+    waits_of = ("sets" if why == AWAITED else "place" if state in idle else "cells" for *_, state, why in waits(connection))
     table, by_state = campaigns.c, Counter[tuple[str, str]]()
     cells, pending, seconds = Counter[tuple[str, str]](), Counter[str](), 0.0
     here = func.count(case((table.deleted_at.is_(None), 1)))
@@ -62,10 +63,4 @@ def read(connection: Connection) -> Statistics:
         name = stage if kind == "calibration" else kind
         pending[name] = without_answer
         cells.update({(name, outcome): count for outcome, count in zip(Outcome, sums, strict=True)})
-    return Statistics(by_state, cells, pending, seconds, out, runs.largest_id(connection), dispatcher, waiting)
-
-
-def _awaited(state: CampaignState, reason: str) -> str:
-    if reason == AWAITED:
-        return "sets"
-    return "place" if state in {CampaignState.QUEUED, CampaignState.PAUSED} else "cells"
+    return Statistics(by_state, cells, pending, seconds, out, runs.largest_id(connection), dispatcher, Counter(waits_of))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from hashlib import blake2b
 from math import isfinite, nan
 from typing import Any
@@ -36,8 +36,10 @@ def pack(connection: Connection, given: Sequence[Mapping[str, float]]) -> list[S
         names = tuple(metrics)
         if names and all(type(value) is float for value in metrics.values()):
             if names not in digests:
-                digests[names] = _digest(names)
-            packed.append(f"{digests[names]}:{_floats(metrics.values())}")
+                digest = blake2b(json.dumps(names).encode(), digest_size=9).digest()
+                digests[names] = base64.urlsafe_b64encode(digest).decode()
+            numbers = [value if isfinite(value) else nan for value in metrics.values()]
+            packed.append(f"{digests[names]}:{base64.b64encode(struct.pack(f'<{len(numbers)}d', *numbers)).decode()}")
         else:
             packed.append(finite(dict(metrics)))
     stored = set(connection.scalars(select(metric_names.c.digest).where(metric_names.c.digest.in_(digests.values()))))
@@ -63,13 +65,3 @@ def reader(connection: Connection) -> Callable[[Stored], dict[str, float | None]
         return {name: value if isfinite(value) else None for name, value in zip(known[digest], values, strict=True)}
 
     return read
-
-
-def _digest(names: tuple[str, ...]) -> str:
-    content = json.dumps(names).encode()
-    return base64.urlsafe_b64encode(blake2b(content, digest_size=9).digest()).decode()
-
-
-def _floats(values: Iterable[float]) -> str:
-    numbers = [value if isfinite(value) else nan for value in values]
-    return base64.b64encode(struct.pack(f"<{len(numbers)}d", *numbers)).decode()

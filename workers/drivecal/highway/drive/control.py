@@ -1,6 +1,6 @@
 """Controls of the ego vehicle, by controllers of users and by planners, and its view of a run."""
 
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -41,23 +41,7 @@ Command = tuple[Floats | None, float, float]
 """A trajectory (n, 7) that begins now, or commands: steering angle or curvature, and acceleration."""
 
 
-class EgoControl(Protocol):
-    """Drives the ego vehicle.
-
-    `period` is in seconds between two commands. `by` says how it steers, as in `kernels.drive`.
-    """
-
-    period: float
-    by: int
-
-    def begin(self, parameters: Any) -> None:
-        """Starts a run."""
-
-    def act(self, view: RunView) -> Command:
-        """Returns the command that holds for a period."""
-
-
-class CommandControl(EgoControl):
+class CommandControl:
     """A controller of a user's that steers and accelerates. What it leaves out, the lane keeper and the speed keeper do."""
 
     def __init__(self, controller: Checked, period: float) -> None:
@@ -67,9 +51,11 @@ class CommandControl(EgoControl):
         self.by = kernels.PATH if lateral is None else {"curvature": kernels.CURVATURE}.get(output[lateral], kernels.STEERING)
 
     def begin(self, parameters: Any) -> None:
+        """Starts a run."""
         self._controller.begin(parameters)
 
     def act(self, view: RunView) -> Command:
+        """Returns the command that holds for a period."""
         signals = view.signals()
         commands = self._controller.step(signals)
         lateral = 0.0 if self._lateral is None else float(commands[self._lateral])
@@ -77,7 +63,7 @@ class CommandControl(EgoControl):
         return None, lateral, keeper_acceleration(signals) if wanted is None else float(commands[wanted])
 
 
-class PlannerControl(EgoControl):
+class PlannerControl:
     """A driving function's planner."""
 
     by = kernels.TRAJECTORY
@@ -87,7 +73,13 @@ class PlannerControl(EgoControl):
         self.period, self._planner, self._plan = planner.period, planner, planner.plan
 
     def begin(self, parameters: Any) -> None:
+        """Starts a run."""
         self._planner.reset(parameters)
 
     def act(self, view: RunView) -> Command:
+        """Returns the command that holds for a period."""
         return self._plan(view), 0.0, 0.0
+
+
+EgoControl = CommandControl | PlannerControl
+"""What drives the ego vehicle. `period` is in seconds between two commands; `by` says how it steers, as in `kernels.drive`."""
