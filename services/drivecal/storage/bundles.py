@@ -89,10 +89,10 @@ def named(connection: Connection, name_or_digest: str) -> StoredBundle:
         return by_name(connection, name_or_digest)
     except NotFoundError:
         begun = select(bundles.c.digest).where(bundles.c.digest.startswith(name_or_digest)).limit(2)
-        found = connection.scalars(begun).all() if _ABBREVIATED.fullmatch(name_or_digest) else ()
-        if len(found) != 1:
+        digests = connection.scalars(begun).all() if _ABBREVIATED.fullmatch(name_or_digest) else ()
+        if len(digests) != 1:
             raise
-        return by_digest(connection, found[0])
+        return by_digest(connection, digests[0])
 
 
 def manifests(connection: Connection, name: str) -> dict[str, Mapping[str, Any]]:

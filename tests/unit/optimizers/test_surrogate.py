@@ -432,6 +432,15 @@ def test_the_worth_of_a_failed_run_does_not_scale_the_front(worth: float) -> Non
     assert better[0] > better[1]
 
 
+@pytest.mark.parametrize("reach", [0.0, 0.6])
+def test_a_set_that_aims_beyond_the_front_seeks_a_further_end(reach: float) -> None:
+    first, second = (Objective(name, CellValue(measure=name), {"S0": 1.0}, Aggregate(), 1) for name in ("a", "b"))
+    aim = JudgedGoals(Goals((first, second)), ("S0",))
+    known = np.array([[[0.0, 1.0]], [[1.0, 0.0]]])
+    merit = Merit(aim, Standing.of(aim, known), np.array([0.9, 0.1]), reach)
+    assert (float(merit(np.array([[[1.3, -0.3]]]))[0]) > merit.best) is (reach > 0)
+
+
 @pytest.mark.slow
 def test_a_large_round_holds_different_sets() -> None:
     task = task_of(mean_of(COST, 3), None)

@@ -14,7 +14,7 @@ from drivecal.plugins.search import Aim
 AUGMENTATION = 0.05
 """Weight of the sum, which is added to the largest distance, so that every objective counts (Knowles 2006, ParEGO)."""
 REACH = 0.6
-"""Part of the front's ranges by which half of the sets aim beyond its best values: from these alone, no set would seek a further end."""
+"""Distance beyond the front's best values, in its ranges, that half of the sets aim at: else no set would seek a further end."""
 
 
 @dataclass(frozen=True)

@@ -82,4 +82,4 @@ class PlannerControl:
 
 
 EgoControl = CommandControl | PlannerControl
-"""What drives the ego vehicle. `period` is in seconds between two commands; `by` says how it steers, as in `kernels.drive`."""
+"""A control of the ego vehicle. `period` is in seconds between two commands; `by` says how it steers, as in `kernels.drive`."""
