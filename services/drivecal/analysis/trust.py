@@ -366,7 +366,7 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     elif gain <= unseen * abs(failed - campaign.best.objective):
         yield verdict("failures_may_decide", "neutral", gain=gain, under=under, most=most, failed=failed)
     else:
-        yield verdict("better_than_baseline", "green", gain=gain, under=under)
+        yield verdict("better_than_baseline", "neutral" if campaign.best.undecided else "green", gain=gain, under=under)
 
 
 def _course(campaign: Campaign, search: SearchCourse | None, *, is_random: bool) -> Iterator[ResultVerdict]:

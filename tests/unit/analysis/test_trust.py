@@ -251,6 +251,7 @@ def test_constraints_come_first() -> None:
     assert "baseline_fails" not in lights(campaign(baseline=failing, objective=other))
     unsure = BEST.model_copy(update={"violation": 0.0001, "undecided": True})
     assert "baseline_breaks_more" not in lights(campaign(best=unsure, baseline=before(4.0, violation=0.1)))
+    assert lights(campaign(best=unsure, baseline=before(4.0)))["better_than_baseline"] == "neutral"
     undecided = before(4.0, violation=0.0009, undecided=True)
     assert "better_than_baseline" in (result := lights(campaign(baseline=undecided)))
     assert "baseline_breaks_more" not in result
