@@ -135,4 +135,4 @@ if __name__ == "__main__":
         )
     Path(".drivecal/bench").mkdir(parents=True, exist_ok=True)
     Path(".drivecal/bench/fronts.json").write_text(json.dumps(figures, indent=1))
-    sys.exit(lost)
+    sys.exit(int(lost))
