@@ -69,10 +69,8 @@ class Replication:
             len(compared) * len(rankings[0].scenarios),
         ]
         for place, ranking in enumerate(rankings):
-            scenarios, later = (
-                [name for name in self._problem.scenarios if name in ranking.scenarios],
-                sum(reports[place + 1 :]),
-            )
+            scenarios = [name for name in self._problem.scenarios if name in ranking.scenarios]
+            later = sum(reports[place + 1 :])
             affordable = max(0, left - later) // len(scenarios)
             chosen = next_runs(ranking, self._problem.specification.replicates, room, affordable)
             if chosen:
