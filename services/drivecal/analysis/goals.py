@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import ceil, isclose, isnan, log, log1p
+from statistics import fmean
 from typing import Any, Literal
 
 import numpy as np
@@ -419,6 +420,22 @@ def weighted_mean(scale: Scale, shares: Mapping[str, float]) -> Goals:
 def weighted(values: Floats, shares: Iterable[float]) -> Floats:
     """Returns the weighted sum (Eq. 6) of each row of values, added in the order of the columns: other orders have other last bits."""
     return sum((values * np.array(list(shares))).T, np.zeros(len(values)))
+
+
+def over_seeds(cells: Sequence[CellScore]) -> CellScore:
+    """Returns the mean of the answers of a cell under several seeds; seeds without a result do not count."""
+    known = [cell for cell in cells if cell.score is not None and cell.rating is not None]
+    if len(known) < 2:
+        return known[0] if known else cells[0]
+    keys = dict.fromkeys(key for cell in known for key in cell.values)
+    return replace(
+        known[0],
+        score=fmean([cell.score for cell in known if cell.score is not None]),
+        rating=fmean([cell.rating for cell in known if cell.rating is not None]),
+        own=all(cell.own for cell in known),
+        failed=all(cell.failed for cell in known),
+        values={key: fmean([cell.values[key] for cell in known if key in cell.values]) for key in keys},
+    )
 
 
 def _numbered(name: str, taken: Collection[str]) -> str:

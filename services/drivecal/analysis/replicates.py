@@ -26,8 +26,8 @@ FEWEST_REPORTING = 3
 """Runs that report a best set, if the budget does not suffice for more."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
-SWEEPS = 30
-"""Iterations of the fit of means and effects of seeds."""
+RATIOS = np.logspace(-6, 1, 22)
+"""Variances of a run, in variances of the means of sets; the most probable one is taken."""
 DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
 QUANTILES = 200
@@ -196,10 +196,10 @@ def assess(
     Args:
         samples: objective of each set under each seed, higher is better, shape (n, n_seeds); NaN without a run. Each set has a run.
         level: of the quantiles that take the place of means; None for means.
-        failed: which runs failed, of the same shape; only probabilities use it.
+        failed: which runs failed, of the same shape; they tell no effects of seeds, and probabilities count them by their rate.
         rows: the sets to compare, None for all; the others tell the noise, too.
     """
-    known = _means(samples)
+    known = _means(samples, failed)
     if level is not None:
         known = _quantiles(samples, known, level)
     if rows is not None:
@@ -210,11 +210,12 @@ def assess(
     return _without_luck(known) if known.is_known and level is None else known
 
 
-def _means(samples: Floats) -> SetStatistics:
+def _means(samples: Floats, failed: npt.NDArray[np.bool_] | None) -> SetStatistics:
     run = np.isfinite(samples)
     counts = run.sum(axis=1)
     several = counts > 1
-    effects = _effects(samples[several])
+    # a rare failure is no effect of its seed
+    effects, noise = _effects(samples if failed is None else np.where(failed, np.nan, samples))
     filled = np.where(run, samples - effects, 0.0)
     means = filled.sum(axis=1) / counts
     residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0)
@@ -228,7 +229,7 @@ def _means(samples: Floats) -> SetStatistics:
         return SetStatistics(counts, means, unknown, unknown, few, few)
     if np.abs(deviations).max() <= 1e-12 * np.abs(raw).max():  # rounding is no noise
         residuals = deviations = np.zeros_like(deviations)
-    squares, spread = float((residuals**2).sum()), (deviations**2).sum() / own.sum()
+    squares, spread = max(float((residuals**2).sum()), noise * freedom), (deviations**2).sum() / own.sum()
     # scores with steps may be equal by chance: one further run might have been a step away
     noise = (squares + _step(samples[run]) ** 2) / (freedom + 1.0) if spread > 0 else 0.0
     prior = min(SHRINKAGE, freedom)
@@ -291,19 +292,41 @@ def widening(level: float | None) -> float:
     return 1.0 if level is None else (level * (1 - level)) ** 0.5 / usual.pdf(usual.inv_cdf(level))
 
 
-def _effects(samples: Floats) -> Floats:
-    """Returns the effects of seeds on sets with several runs, of mean 0, shape (n_seeds,)."""
+def _effects(samples: Floats) -> tuple[Floats, float]:
+    """Returns what seeds add to all sets, of mean 0, shape (n_seeds,), and the variance of a run without it; zeros if too few sets tell.
+
+    Sets get further runs because their first one was good. Means of these sets alone take their luck for an effect of the first seed, and
+    leave two thirds of the noise. So sets are draws from a normal distribution around the median, and the restricted likelihood (Patterson
+    and Thompson 1971) tells which part of a first run is luck. Sets `MOST_BAD_LUCK` below the median are bad, not unlucky.
+    """
     run = np.isfinite(samples)
-    effects = np.zeros(samples.shape[1])
-    if len(samples) < 2:
-        return effects
-    filled, rows, columns = np.where(run, samples, 0.0), run.sum(axis=1), np.maximum(run.sum(axis=0), 1)
-    used = run.any(axis=0)
-    for _ in range(SWEEPS):
-        means = (filled - run * effects).sum(axis=1) / rows
-        effects = (filled - run * means[:, np.newaxis]).sum(axis=0) / columns
-        effects = np.where(used, effects - effects[used].mean(), 0.0)
-    return effects
+    several = run.sum(axis=1) > 1
+    rows, effects = run[several].astype(np.float64), np.zeros(samples.shape[1])
+    used, counts = rows.any(axis=0), rows.sum(axis=1)
+    if not len(rows) or counts.sum() - len(rows) < used.sum():
+        return effects, 0.0
+    first = int(np.argmax(np.where(used, run.sum(axis=0), 0)))
+    centred = np.where(run, samples - np.median(samples[run[:, first], first]), 0.0)
+    is_better, values = centred[:, first] > 0, centred[several]
+    alone, good = centred[is_better & ~several, first], np.ones(len(rows), dtype=np.bool_)
+    if is_better.any():
+        good = values[:, first] > -MOST_BAD_LUCK * (centred[is_better, first] ** 2).mean() ** 0.5
+    free = np.flatnonzero(used & (np.arange(len(used)) != first))
+    part, freedom = rows[:, free], counts.sum() - (~good).sum() - len(free) + len(alone)
+    most, noise = -np.inf, 0.0
+    for ratio in RATIOS:
+        weights = 1 / (counts + np.where(good, ratio, 0.0))
+        matrix = np.diag(part.sum(axis=0) + 1e-9) - part.T @ (part * weights[:, np.newaxis])
+        added = np.zeros_like(effects)
+        added[free] = np.linalg.solve(matrix, values[:, free].sum(axis=0) - part.T @ (weights * values.sum(axis=1)))
+        left = values - rows * added
+        squares = (left**2).sum() - (weights * left.sum(axis=1) ** 2).sum() + (alone**2).sum() * ratio / (1 + ratio)
+        spread = max(float(squares / freedom), 1e-300)
+        terms = freedom * np.log(spread), np.log1p(counts[good] / ratio).sum(), len(alone) * np.log1p(1 / ratio)
+        likelihood = -sum(terms) - np.linalg.slogdet(matrix)[1]
+        if likelihood > most:
+            most, noise, effects = likelihood, spread, added
+    return np.where(used, effects - effects[used].mean(), 0.0), noise
 
 
 def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -> list[int]:
@@ -330,7 +353,7 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
     if np.isnan(shown[leader]):  # what failures mean for quantiles is not known
         shown = replace(standing, failing=None).probabilities()
     if shown[leader] >= confidence:
-        return []
+        return [leader][:room] if counts[leader] < min(2, most) else []  # no single run is sure
     rivals = np.flatnonzero(ahead > NEGLIGIBLE * (1 - confidence))
     variances = np.maximum(standing.variances, 1e-300)
     distances = (standing.means[leader] - standing.means) ** 2

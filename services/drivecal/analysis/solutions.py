@@ -5,6 +5,7 @@ With several objectives or constraints, sets are ranked by the first objective, 
 
 from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from math import isnan
 from statistics import fmean
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from drivecal.analysis import replicates
-from drivecal.analysis.goals import Aggregate, Cells, Goals, Judged, normalised, weighted
+from drivecal.analysis.goals import Aggregate, Cells, Goals, Judged, normalised, over_seeds, weighted
 from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
@@ -148,12 +149,18 @@ class SetJudge:
         self, places: Mapping[int, tuple[int, int]], runs: Mapping[int, Mapping[int, Cells]]
     ) -> Iterator[tuple[int, dict[int, EvaluatedSet]]]:
         """Yields the id of each set, and the set by each of its seeds with a result; none if a run failed under another seed of the choice:
-        a mean over the other seeds would say too much. Seeds that report choose nothing: there a failure is counted."""
+        a mean over the other seeds would say too much. Seeds that report choose nothing: there a failure is counted, and a run that lacks
+        what a constraint bounds counts for the objective."""
         cells = [by_seed[seed] for by_seed in runs.values() for seed in sorted(by_seed)]
+        unbounded = copy(self)
+        unbounded.goals = replace(self.goals, bounds=())
         judged = self.of_cells(((number, *places[number]) for number, by_seed in runs.items() for _ in by_seed), cells)
         for number, by_seed in runs.items():
-            known = zip(sorted(by_seed), judged, strict=False)
-            whole = {seed: each for seed, each in known if each is not None}
+            whole = dict[int, EvaluatedSet]()
+            for seed, each in zip(sorted(by_seed), judged, strict=False):
+                if each is None and seed > self.choosing and len(by_seed) > 1:
+                    (each,) = unbounded.of_cells([(number, *places[number])], [by_seed[seed]])
+                whole |= {} if each is None else {seed: each}
             without = [cells for seed, cells in by_seed.items() if seed not in whole and seed <= self.choosing]
             lost = any(cell.failed for cells in without for cell in cells.values())
             yield number, {} if lost else whole
@@ -577,22 +584,6 @@ class Ranking:
             ((_, by_seed),) = self._judge.by_seed(self._places, {number: runs})
             sides += filter(None, self._judge.over_seeds(by_seed, runs)[:1])
         return (sides[0], sides[1]) if len(sides) > 1 else None
-
-
-def over_seeds(cells: Sequence[CellScore]) -> CellScore:
-    """Returns the mean of the answers of a cell under several seeds; seeds without a result do not count."""
-    known = [cell for cell in cells if cell.score is not None and cell.rating is not None]
-    if len(known) < 2:
-        return known[0] if known else cells[0]
-    keys = [key for key in known[0].values if all(key in cell.values for cell in known)]
-    return replace(
-        known[0],
-        score=fmean([cell.score for cell in known if cell.score is not None]),
-        rating=fmean([cell.rating for cell in known if cell.rating is not None]),
-        own=all(cell.own for cell in known),
-        failed=all(cell.failed for cell in known),
-        values={key: fmean([cell.values[key] for cell in known]) for key in keys},
-    )
 
 
 def _worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:

@@ -545,16 +545,16 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     cells, judged = campaign.cells, known.chosen or campaign.best
     if judged is not None and judged.failure_interval is not None:
-        constraints = map(ConstraintSpecification.model_validate, campaign.spec.get("constraints") or ())
-        is_permitted = any(each.counts_failures and each.scenarios == "all" for each in constraints)
-        light: Light | Literal["neutral"] = "amber" if judged.failures and not is_permitted else "neutral"
-        subject = "the best set" if known.chosen is None else "the chosen set"
-        yield verdict("failing_runs", light, subject=subject, failures=judged.failures, most=judged.failure_interval[1])
+        least, most = judged.failure_interval
+        rates = map(ConstraintSpecification.model_validate, campaign.spec.get("constraints") or ())
+        rate = min((each.rate or 0.0 for each in rates if each.counts_failures and each.scenarios == "all"), default=0.0)
+        failing: Light | Literal["neutral"] = "amber" if judged.failures and least + most > 2 * rate else "neutral"
+        light, subject = "red" if 0 < rate < least else failing, "the best set" if known.chosen is None else "the chosen set"
+        yield verdict("failing_runs", light, subject=subject, failures=judged.failures, most=most)
     for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
         if count:
             share = count / max(1, cells.requested)
-            light = "amber" if share > FEW else "neutral"
-            yield verdict(code, light, count=count, requested=cells.requested, share=share)
+            yield verdict(code, "amber" if share > FEW else "neutral", count=count, requested=cells.requested, share=share)
 
 
 def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:

@@ -372,9 +372,34 @@ def test_a_lucky_single_run_counts_less_than_many_good_ones() -> None:
     samples[0] += 0.8
     samples[1:5, 4:] = samples[5:, 1:] = np.nan
     samples[38, 0], samples[39, 0] = 1.0, 6.5
-    means = assess(samples).means
-    assert means[39] < means[0] - 0.1
-    assert means[38] < 2.5, "it is bad, not unlucky"
+    known = assess(samples)
+    assert known.best(CONFIDENCE) == 0
+    assert known.means[39] < 5.5
+    assert known.means[38] < 3.0, "it is bad, not unlucky"
+
+
+def test_the_luck_of_sets_that_got_a_second_run_for_it_is_no_effect_of_a_seed() -> None:
+    noises, random = [], np.random.default_rng(4)
+    for _ in range(100):
+        samples = random.normal(size=(30, 1)) + random.normal(size=2) + random.normal(size=(30, 2))
+        samples[np.argsort(-samples[:, 0])[4:], 1] = np.nan
+        noises.append(present(assess(samples).noise))
+    assert np.mean(noises) == pytest.approx(1.0, abs=0.15)  # 0.72 by the differences of these sets alone
+
+
+def test_failures_of_sets_that_are_alike_are_no_effect_of_a_seed() -> None:
+    samples = np.full((12, 2), np.nan)
+    samples[:, 0] = -30.0 - 0.01 * np.arange(12)
+    samples[:4, 1] = samples[:4, 0] - 20.0
+    known = assess(samples, failed=samples < -40.0)
+    assert present(known.noise) > 5.0
+    assert known.probabilities().max() < 0.5
+
+
+def test_no_single_run_is_sure() -> None:
+    samples = np.array([[5.0, np.nan], *([[1.0 - place / 100, 1.0 - place / 90] for place in range(6)])])
+    assert allocate(assess(samples), 8, 20, CONFIDENCE) == [0]
+    assert allocate(assess(samples), 8, 1, CONFIDENCE) == []
 
 
 @pytest.mark.parametrize("quantile", [0.0, 1.0])
@@ -426,6 +451,19 @@ def test_failures_that_only_one_of_two_sets_met_leave_open_which_is_better(gain:
 
 RATE = Bound("gap", CellValue(measure="gap", failed=-1.0), {"S1": 1.0}, Aggregate("min"), 1, 0.0, 1.0, rate=0.1, confidence=0.9)
 """At most a tenth of the runs has a gap below 0: 22 runs without one show it."""
+
+
+def test_runs_without_what_a_constraint_bounds_count_for_the_reported_objective() -> None:
+    scale = Scale("score", Direction.MAXIMISE, -10, 10, 0.0, -10, None, "1")
+    gap = replace(RATE, rate=None, value=CellValue(measure="gap"))
+    goals = Goals((Objective("score", CellValue(scale), {"S1": 1.0}, Aggregate(), 1),), (gap,))
+    ranking, failing = Ranking({"S1": 1}, goals, USUAL), range(18, 21)
+    for seed in (1, 2, 3, *range(13, 21)):
+        score, values = (-10.0, {}) if seed in failing else (5.0 + seed % 2 / 10, {gap.value.key: 1.0})
+        ranking.add([one_run(1, seed, score, values=values, failed=seed in failing)])
+    best = present(ranking.best())[0]
+    assert (best.seeds, best.violation, best.failures) == (tuple(range(13, 21)), 0.0, 3)
+    assert best.objective == pytest.approx((5 * 5.0 + 3 / 10 - 3 * 10.0) / 8)
 
 
 def rated(most: int, fails: dict[int, int], sets: int = 3, budget: int = 1000, scatter: float = 0.1) -> Ranking:

@@ -175,8 +175,14 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
     assert lights(campaign(), chosen=Chosen({}, failures=2, failure_interval=(0.0, 0.1)))["failing_runs"] == "amber"
-    for constraint, light in (({"rate": 0.1}, "neutral"), ({"measure": "y", "at_most": 1.0, "rate": None}, "amber")):
+    for constraint, least, light in (
+        ({"rate": 0.1}, 0.0, "neutral"),
+        ({"rate": 0.03}, 0.0, "amber"),
+        ({"rate": 0.03}, 0.031, "red"),
+        ({"measure": "y", "at_most": 1.0, "rate": None}, 0.0, "amber"),
+    ):
         rated = {"optimizer": {"kind": "genetic"}, "constraints": [constraint]}
+        seeded = {"failures": 1, "failure_interval": (least, 0.07)}
         assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == light
     counts = {"failed": 5, "unscored": 1, "unrepeatable": 2, "cut": 1}
     result = lights(campaign("predicted", cells=counts, released={"S1": NEAR}))

@@ -93,6 +93,8 @@ def note_lost(goals: Goals) -> tuple[str, ...]:
         {goal.value.measure for goal in (*goals.objectives, *goals.bounds) if goal.value.measure and goal.value.failed is None}
     )
     lost = f"a set with a failed run has no {', '.join(named)} and no rank; `failed` beside the measure says what such a run is worth"
+    if any(bound.value.measure == FAILED for bound in goals.bounds):
+        lost += ", and without it the rate of failures counts only sets that never failed"
     return (lost,) if named else ()
 
 

@@ -10,7 +10,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
-from drivecal.analysis.solutions import Ranking, over_seeds
+from drivecal.analysis.goals import over_seeds
+from drivecal.analysis.solutions import Ranking
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.stages.asking import AskedRound, cells_of
 from drivecal.contracts.campaign import GenerationCounts

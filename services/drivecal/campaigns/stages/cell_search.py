@@ -13,9 +13,8 @@ from sqlalchemy import Connection
 
 from drivecal.analysis.aims import JudgedGoals, WeightedScore
 from drivecal.analysis.front import non_dominated
-from drivecal.analysis.goals import SCORE
+from drivecal.analysis.goals import SCORE, over_seeds
 from drivecal.analysis.replicates import assess, choosing
-from drivecal.analysis.solutions import over_seeds
 from drivecal.campaigns.cells import earlier
 from drivecal.campaigns.cells.earlier import place_in
 from drivecal.campaigns.cells.planning import View
