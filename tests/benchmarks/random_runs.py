@@ -6,7 +6,9 @@
 - `--problems NAME ...`: problems of `economy`, or `choices`, whose objective has noise of `--noises` distances of the best and the tenth
   best of 100 random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of
   `--cells` runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the
-  first one, and how many 95 % intervals hold the truth. `single` believes single samples, `after` has replicates after the search alone.
+  first one, how many 95 % intervals hold the truth, how probably the reported set is the best of those that were run, as claimed, in which
+  share it is, and in which share the best one was listed among those that may be as good. `single` believes single samples, `after` has
+  replicates after the search alone.
 """
 
 import argparse
@@ -201,6 +203,20 @@ class RandomRun(Run):
                 for scenario in scenarios:
                     self.cell(AskedCell(sets[number], scenario, seed))
 
+    def claims(self) -> tuple[float, bool, bool]:
+        """Returns how probably the best set is the best of those that were run, as claimed, whether it is, and whether the one that is
+        belongs to the sets that are said to be as good, perhaps."""
+        order, sets = self.ranking.best_first(), list(self.sets)
+        truths = [
+            self.problem.objective(
+                [self.problem.answer(AskedCell(sets[each.parameter_set], place)).values[0] for place in range(len(each.scores))]
+            )
+            for each in order
+        ]
+        as_good = [truth for truth, each in zip(truths, order, strict=True) if each is order[0] or each.is_close]
+        claimed = order[0].probability_best
+        return np.nan if claimed is None else claimed, truths[0] >= max(truths) - 1e-9, max(as_good) >= max(truths) - 1e-9
+
     def result(self) -> tuple[float, float, list[bool]]:
         """Returns the true objective of the best set, the reported one, higher is better, and whether intervals hold the truth: of the
         campaign, and of every other 8 fresh seeds in the place of the report's."""
@@ -235,15 +251,15 @@ SEARCHES: Mapping[str, Callable[[Run, int], None]] = {
 
 def reported(
     chosen: EconomyProblem, arm: str, seed: int, cells: int, noise: float, *, is_smooth: bool = False
-) -> tuple[float, float, list[bool]]:
-    """Returns the result of a campaign."""
+) -> tuple[tuple[float, float, list[bool]], tuple[float, bool, bool]]:
+    """Returns the result of a campaign, and what it claims of its best set."""
     kept = 0 if arm == "single" else kept_back(cells, len(chosen.scenarios), USUAL.most, by_cell=arm == "surrogate")
     run = RandomRun(chosen, cells - kept, noise, seed, is_smooth=is_smooth)
     with suppress(Ended):
         SEARCHES[arm](run, seed)
     if kept:
         run.replicate(cells)
-    return run.result()
+    return run.result(), run.claims() if noise else (np.nan, False, False)
 
 
 def distance(chosen: EconomyProblem) -> float:
@@ -256,7 +272,10 @@ def distance(chosen: EconomyProblem) -> float:
 
 def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
     """Yields a line for each problem, noise, budget and arm, compared with the first arm, and adds the true objectives by seed."""
-    yield f"{'':16}{'noise':>6}{'runs':>6}{'arm':>11}{'true':>10}{'worst':>10}{'error':>9}{'too good':>9}{'better':>8}{'intervals':>11}"
+    yield (
+        f"{'':16}{'noise':>6}{'runs':>6}{'arm':>11}{'true':>10}{'worst':>10}{'error':>9}{'too good':>9}{'better':>8}"
+        f"{'intervals':>25}{'claimed':>9}{'best':>8}{'listed':>8}"
+    )
     for name, cells in product(options.problems, options.cells):
         chosen = problem(name, options.cache)
         for noise in [0.0] if name == "random_motorway" else options.noises:
@@ -265,7 +284,9 @@ def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
                 [reported(chosen, arm, seed, cells, deviation, is_smooth=options.smooth) for arm in options.arms]
                 for seed in seeds
             ]
-            for arm, results in zip(options.arms, zip(*by_seed, strict=True), strict=True):
+            for arm, ended in zip(options.arms, zip(*by_seed, strict=True), strict=True):
+                results, claims = zip(*ended, strict=True)
+                claimed, *right = np.nanmean(np.array(claims, dtype=np.float64), axis=0).tolist()
                 truths = figures[f"{name} {noise} {cells} {arm}"] = [truth for truth, *_ in results]
                 off, held = (
                     np.array([report - truth for truth, report, _ in results]),
@@ -275,7 +296,7 @@ def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
                 yield (
                     f"{name:16}{noise:>6}{cells:>6}{arm:>11}{np.mean(truths):>10.3f}{min(truths):>10.3f}{np.abs(off).mean():>9.3f}"
                     f"{off.mean():>9.3f}{sum(others > 1e-9):>4}:{sum(others < -1e-9):<3}{p_value(others):>14}"
-                    f"{sum(held):>7} of {len(held)}"
+                    f"{sum(held):>7} of {len(held)}{claimed:>9.2f}" + "".join(f"{share:>8.2f}" for share in right)
                 )
 
 
