@@ -6,8 +6,8 @@
 - `--problems NAME ...`: problems of `economy`, or `choices`, whose objective has noise of `--noises` distances of the best and the tenth
   best of 100 random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of
   `--cells` runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the
-  first one, how many 95 % intervals hold the truth, how probably the reported set is the best of those that were run, as claimed, in which
-  share it is, and in which share the best one was listed among those that may be as good. `single` believes single samples, `after` has
+  first one, how many 95 % intervals hold the truth, the probability claimed that no other set that was run is better than the reported one, the
+  share of campaigns where none is, and where the best one was listed as perhaps as good. `single` believes single samples, `after` has
   replicates after the search alone.
 """
 
@@ -204,8 +204,8 @@ class RandomRun(Run):
                     self.cell(AskedCell(sets[number], scenario, seed))
 
     def claims(self) -> tuple[float, bool, bool]:
-        """Returns how probably the best set is the best of those that were run, as claimed, whether it is, and whether the one that is
-        belongs to the sets that are said to be as good, perhaps."""
+        """Returns the probability claimed that no other set is better than the best one, whether none is, and whether the truly best one is
+        listed as perhaps as good."""
         order, sets = self.ranking.best_first(), list(self.sets)
         truths = [
             self.problem.objective(

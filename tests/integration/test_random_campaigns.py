@@ -436,3 +436,11 @@ def test_kills_workers_and_the_order_of_answers_change_nothing(
         seeds = [(row.iteration, row.individual, row.scenario, row.seed) for row in rows_of(database, campaign)]
         results.append((seeds, everything(database, campaign)))
     assert results[0] == results[1]
+
+
+@pytest.mark.slow
+def test_what_is_left_of_a_budget_tells_whether_the_best_set_is_better_than_the_baseline(tmp_path: Path) -> None:
+    database = opened(tmp_path / "few.db", parameters={"x": {"lower": 0, "upper": 0.9, "step": 0.15}})
+    ended = carried_out(database, baseline={"x": 0.45}, budget={"simulations": 240})
+    baseline = present(ended.baseline)
+    assert (ended.cells.runs < 240, baseline.close, baseline.seeds) == (True, True, list(range(13, 21)))

@@ -92,7 +92,8 @@ class Replication:
         return Round(last + 1, self._benches.with_cells(cells), exact_policy(self._problem)) if cells else None
 
     def _runs_of_baseline(self, connection: Connection) -> list[tuple[int, int]]:
-        """Returns the baseline, by its id, with each seed that it is still to run under, to be compared with the best set."""
+        """Returns the baseline, by its id, with each seed that it is still to run under, to be compared with the best set: as many again
+        while runs do not tell which is better."""
         ranking, baseline = self._answers.ranking, self._problem.baseline
         best, kept = ranking.best(), None if baseline is None else ranking.statistics()
         if baseline is None or best is None or kept is None or (kept[1].is_known and not kept[1].is_random):
@@ -100,7 +101,12 @@ class Replication:
         number = parameter_sets.ids(connection, [baseline.key]).get(baseline.key)
         if number is None or number == best[0].parameter_set or ranking.get(number) is None:
             return []
-        return [(number, seed) for seed in self._problem.baseline_seeds if seed not in ranking.seeds(number)]
+        done, seeds = ranking.seeds(number), self._problem.baseline_seeds
+        missing = [seed for seed in seeds if seed not in done]
+        if seeds and not missing and ranking.gain_over(number, random=True)[1]:
+            shared = [seed for seed in sorted(ranking.seeds(best[0].parameter_set) - done) if seed >= seeds[0]]
+            missing = shared[: sum(seed >= seeds[0] for seed in done)]
+        return [(number, seed) for seed in missing]
 
     def _left(self, tracker: CellTracker, after: int) -> int:
         """Returns how many simulations the budget has left, or are adequate for what the search has asked without one. Answers from the
