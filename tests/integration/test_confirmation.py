@@ -103,13 +103,13 @@ def test_a_confirming_cell_is_explained_and_ranks(confirmed: tuple[Database, Sto
     )
     with database.read() as connection:
         result = explain(connection, own.id)
-        ranked_by = results.number_at(connection, campaign.sequence, copy.iteration, copy.individual, copy.scenario)
+        ranked_by = results.cells_at(connection, campaign.sequence, copy.iteration, copy.individual, copy.scenario)
         other = next(row for row in rows if row.iteration == 0)
-        assert results.number_at(connection, campaign.sequence, 0, other.individual, other.scenario) == other.id
+        assert results.cells_at(connection, campaign.sequence, 0, other.individual, other.scenario) == {0: other.id}
     assert result.reason == "checked"
     assert present(result.reference).evaluation == copy.reference
     assert (result.score, present(result.check).expected) == (own.score, by_number[copy.reference or 0].score)
-    assert ranked_by == own.id
+    assert ranked_by == {0: own.id}
 
 
 @pytest.mark.slow

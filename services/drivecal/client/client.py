@@ -411,7 +411,7 @@ class Client(Transport):
         return self._get(Evaluation, "evaluations", identifier)
 
     def cell(self, identifier: str, iteration: int, individual: int, scenario: str) -> int:
-        """Returns the number of the evaluation that ranks a set in a scenario.
+        """Returns the number of the evaluation behind the score of a set in a scenario, of several seeds of the first that reports it.
 
         Args:
             identifier: Id of the campaign.

@@ -100,19 +100,21 @@ def by_id(connection: Connection, evaluation_id: int) -> StoredEvaluation:
     return next(_evaluations([row]))
 
 
-def number_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> int:
-    """Returns the number of the cell that decides the rank of a set of the calibration stage in a scenario. It prefers simulated cells of
-    this set to cells that a reference answered. Raises NotFoundError."""
+def cells_at(connection: Connection, campaign_sequence: int, iteration: int, individual: int, scenario: str) -> dict[int, int]:
+    """Returns the numbers of a set's cells in a scenario of the calibration stage by seed, which is 0 if the simulator is not random.
+    Seeds that report the set come first, then simulated cells, then copied ones, last cells without a score. Raises NotFoundError."""
     table = evaluations.c
     here = table.campaign_sequence == campaign_sequence, table.stage == StageName.CALIBRATION
     at = select(table.parameter_set_id).where(*here, table.iteration == iteration, table.individual == individual)
     number = at.limit(1).correlate(None).scalar_subquery()  # searches by the cell ask a set's scenarios at several places
-    worth = case((table.score.is_(None), 2), (_COPIED, 1), else_=0)
-    cells = select(table.id).where(*here, table.scenario == scenario, table.parameter_set_id == number)
-    cell = connection.scalar(cells.order_by(worth, *_PLACE).limit(1))
-    if cell is None:
+    worth = case((table.score.is_(None), 3), (table.purpose == Purpose.REPORT, 0), (_COPIED, 2), else_=1)
+    cells = select(table.seed, table.id).where(*here, table.scenario == scenario, table.parameter_set_id == number)
+    known: dict[int, int] = {}
+    for seed, cell in connection.execute(cells.order_by(worth, table.seed, *_PLACE)):
+        known.setdefault(seed, cell)
+    if not known:
         raise NotFoundError("evaluation", f"of individual {individual} in iteration {iteration}, {scenario}")
-    return int(cell)
+    return known
 
 
 def number_of_sets(connection: Connection, campaign_sequence: int, stage: StageName) -> int:

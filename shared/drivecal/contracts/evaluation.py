@@ -67,9 +67,11 @@ class EvaluationDetail(EvaluationRow):
 
 
 class CellNumber(Answer):
-    """The number of the evaluation that ranks a set in a scenario."""
+    """The evaluation behind the score of a set in a scenario. A score that is a mean over seeds shows its first one."""
 
     evaluation: int
+    runs: list[tuple[int, int]] = Field(default_factory=list)
+    """Seed and number of each of the set's evaluations, first the seeds that report it; empty if the simulator is not random."""
 
 
 class PendingTrace(Answer):

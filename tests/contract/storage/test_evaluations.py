@@ -158,7 +158,21 @@ def test_a_place_of_a_set_finds_its_cells_in_scenarios_that_were_asked_at_other_
         for iteration, individual, scenario, chosen in asked
     ]
     ids = evaluations.insert(connection, sequence, cells)
-    assert results.number_at(connection, sequence, 0, 0, "S1") == ids[2]
+    assert results.cells_at(connection, sequence, 0, 0, "S1") == {0: ids[2]}
     for place in ((0, 1, "S2"), (1, 0, "S1")):
         with pytest.raises(NotFoundError):
-            results.number_at(connection, sequence, *place)
+            results.cells_at(connection, sequence, *place)
+
+
+def test_seeds_that_report_a_set_come_before_its_others(connection: Connection) -> None:
+    sequence, setup, (number,) = begun(connection, 1)
+    reports = {3: Purpose.SEARCH, 14: Purpose.REPORT, 13: Purpose.REPORT, 1: Purpose.SEARCH}
+    cells = [cell(0, setup, number, seed=seed, has_seed=True, purpose=purpose) for seed, purpose in reports.items()]
+    ids = evaluations.insert(connection, sequence, cells)
+    evaluations.answer(connection, [AnsweredCell(number, SIMULATED, 5.0, 5.25, None) for number in ids])
+    assert list(results.cells_at(connection, sequence, 0, 0, "S1").items()) == [
+        (13, ids[2]),
+        (14, ids[1]),
+        (1, ids[3]),
+        (3, ids[0]),
+    ]

@@ -187,7 +187,7 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
     baseline. Raises NotFoundError if the search has no such place."""
     campaign, scenario, baseline = front.stored.campaign, next(iter(front.goals.objectives[0].shares)), front.baseline
     with front.stored.database.read() as connection:
-        cell = results.by_id(connection, results.number_at(connection, campaign.sequence, *place, scenario))
+        cell = results.by_id(connection, next(iter(results.cells_at(connection, campaign.sequence, *place, scenario).values())))
         is_random = evaluations.are_seeded(connection, campaign.sequence)
     parameters = cell.parameters.floats
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)

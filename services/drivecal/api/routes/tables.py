@@ -87,11 +87,11 @@ def list_evaluations(
 
 @router.get("/cell")
 def find_cell(campaign_id: str, query: CellQuery, database: DatabaseDependency) -> CellNumber:
-    """The evaluation that ranks the set at a place of the calibration stage."""
+    """The evaluation behind the score of the set at a place of the calibration stage, and its evaluations by seed."""
     with database.read() as connection:
         campaign = campaigns.get(connection, campaign_id)
-        evaluation = results.number_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
-    return CellNumber(evaluation=evaluation)
+        cells = results.cells_at(connection, campaign.sequence, query.iteration, query.individual, query.scenario)
+    return CellNumber(evaluation=next(iter(cells.values())), runs=[run for run in cells.items() if run[0] > 0])
 
 
 @router.get("/solutions", responses=page_or_file(Solution))

@@ -2,7 +2,6 @@
 
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
-import { cell, type Table } from "./columns";
 import { number } from "../text/format";
 import { knownOf } from "../text/words";
 import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
@@ -26,20 +25,17 @@ export interface SetSide {
   best_objective?: number | null;
   /** Seeds of the runs that make its scores, if there are several. */
   seeds?: readonly number[];
-  /** The number of its evaluation in a scenario; null if there is none. */
-  cell: (scenario: string) => Promise<number | null>;
+  /** Its evaluations in a scenario by seed; null if there is none. */
+  cell: (scenario: string) => Promise<CellNumber | null>;
 }
 
-/** The number of the evaluation at a place of the calibration. */
-export async function cellAt(campaign: string, iteration: number, individual: number, scenario: string): Promise<number> {
-  return (await get<CellNumber>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`)).evaluation;
-}
+/** The evaluations of the set at a place of the calibration, by seed. */
+export const cellAt = (campaign: string, iteration: number, individual: number, scenario: string): Promise<CellNumber> =>
+  get<CellNumber>(`/campaigns/${campaign}/cell?iteration=${iteration}&individual=${individual}&scenario=${encodeURIComponent(scenario)}`);
 
-/** Opens the evaluation, with its replay, behind a score in a row of a table of sets; `name` is the column of the score. */
-export async function openScore(campaign: string, table: Table, row: number, name: string): Promise<void> {
-  const [iteration, individual] = [cell(table, "iteration", row), cell(table, "individual", row)];
-  go(["evaluations", String(await cellAt(campaign, Number(iteration), Number(individual), name.slice("score_".length)))]);
-}
+/** The seeds that all of these sets ran under, in the order of the first. */
+export const sharedSeeds = ([first, ...others]: readonly CellNumber[]): number[] =>
+  (first?.runs ?? []).map(([seed]) => seed).filter((seed) => others.every(({ runs }) => new Map(runs).has(seed)));
 
 /** Sets of a page of the ranking. */
 const MOST = 1000;
@@ -54,16 +50,16 @@ export async function ranked(campaign: string, parameters: Values): Promise<Page
   return items.find((item) => isSame(parameters, item.parameters));
 }
 
-/** The number of the best set's evaluation in a scenario: others of the same objective and rating may come before it. */
-export async function bestCell(campaign: string, best: Best, scenario: string): Promise<number | null> {
+/** The best set's evaluation in a scenario: others of the same objective and rating may come before it. */
+export async function bestCell(campaign: string, best: Best, scenario: string): Promise<CellNumber | null> {
   const row = await ranked(campaign, best.parameters);
   return row ? cellAt(campaign, row.iteration, row.individual, scenario) : null;
 }
 
-/** The number of the baseline's evaluation in a scenario, the first of the search; null if another set is there. */
-async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<number | null> {
+/** The baseline's evaluation in a scenario, the first of the search; null if another set is there. */
+async function baselineCell(campaign: string, parameters: Values, scenario: string): Promise<CellNumber | null> {
   const cell = await cellAt(campaign, 0, 0, scenario);
-  const { parameters: given } = await get<Pick<EvaluationDetail, "parameters">>(`/evaluations/${cell}`);
+  const { parameters: given } = await get<Pick<EvaluationDetail, "parameters">>(`/evaluations/${cell.evaluation}`);
   return isSame(parameters, given) ? cell : null;
 }
 
@@ -82,7 +78,7 @@ export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][n
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */
-export async function openFound(campaign: string, cell: Promise<number | null>): Promise<void> {
-  const evaluation = await cell;
-  go(evaluation === null ? ["campaigns", campaign, "ranking"] : ["evaluations", String(evaluation)]);
+export async function openFound(campaign: string, found: Promise<CellNumber | null>): Promise<void> {
+  const cell = await found;
+  go(cell === null ? ["campaigns", campaign, "ranking"] : ["evaluations", String(cell.evaluation)]);
 }

@@ -1,5 +1,6 @@
 /** What happened to campaigns since a moment: which ended, what has a better answer, and what needs a person. */
 
+import { wordsText } from "../address";
 import { hasFront } from "../front/sets";
 import type { Campaign, ResultTrust, ResultVerdict } from "../server/types";
 import { count, percent } from "./format";
@@ -18,7 +19,10 @@ const PLACES: readonly (readonly [RegExp, string, Record<string, string>, string
 ];
 const COURSE = [/./, "overview", { at: "course" }, "course"] as const;
 
-export function evidenceOf({ code }: Pick<ResultVerdict, "code">): { view: string; query: Record<string, string>; title: string } {
+/** The view with the numbers of a verdict. `set`: values of the judged set by their columns in the evaluations, where its failed runs come first. */
+export function evidenceOf({ code }: Pick<ResultVerdict, "code">, set: Readonly<Record<string, number | string>> = {}): { view: string; query: Record<string, string>; title: string } {
+  const own = Object.entries(set).map(([column, value]): [string, string] => (typeof value === "number" ? [`b.${column}`, `${value}:${value}`] : [`w.${column}`, wordsText([value])]));
+  if (code === "failing_runs" && own.length > 0) return { view: "evaluations", query: { ...Object.fromEntries(own), sort: "failure" }, title: "its failed runs" };
   const [, view, query, title] = PLACES.find(([codes]) => codes.test(code)) ?? COURSE;
   return { view, query, title };
 }
