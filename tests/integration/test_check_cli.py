@@ -230,6 +230,10 @@ def test_a_set_of_a_random_problem_is_checked_by_the_runs_that_report_it(checkin
     verdicts = {each["limit"]: (each["broken"] is not None, each["unsure"]) for each in checked["findings"]}
     kept, unsure = (False, False), (True, True)
     assert list(verdicts.values()) == [kept, kept, unsure, (True, False), kept, kept, unsure]
+    assert checked["gain"] == pytest.approx(checked["baseline"] - checked["objective"])  # a cost
+    assert checked["gain_lower"] == pytest.approx(checked["gain_upper"]), "seeds do the same to both"
+    assert [(each["failures"], each["runs"]) for each in checked["scenarios"]] == [(0, 8)] * len(checked["scenarios"])
+    assert "by equal seeds" in checking(f"{campaign}#1", *options, "--baseline", "campaign").stdout
 
 
 def broken(checked: Result) -> list[dict[str, Any]]:

@@ -73,8 +73,8 @@ BASELINE = {
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}{under}.",
     "baseline_fails": "The baseline scores as a failed run in {scenarios:list}: a gain depends on what that is worth ({failed:g}).",
     "alike_baseline": "The best set is better than the baseline, by {gain:.4g}{under}, within the tolerance of {tolerance}.",
-    "baseline_in_interval": "Runs do not tell the best set from the baseline{gained}; `drivecal check` compares them under more "
-    "seeds.",
+    "baseline_in_interval": "Runs do not tell the best set from the baseline{gained}; `drivecal check ID#1 --baseline campaign "
+    "--seeds N` compares them under more seeds.",
     "failures_may_decide": "The best set is better than the baseline, by {gain:.4g}{under}; but up to {most:.1 %} of further runs may "
     "fail (95 %), and as a failed run is worth {failed:g}, that may cost more.",
     "not_better": "No set is better than the baseline.",

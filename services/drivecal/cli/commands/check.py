@@ -6,7 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from statistics import stdev
+from statistics import fmean
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
 
@@ -37,19 +37,21 @@ Parameters = Mapping[str, Given]
 Axes = Mapping[str, Sequence[Sequence[float]]]
 CALIBRATION_FILES = (".dcm", ".cdfx")
 INTERVAL = ("standard_error", "lower", "upper")
-COLUMNS = ("scenario", "score", *INTERVAL, "baseline", "obtained", "broken")
+OF_SEEDS = (*INTERVAL, "failures", "runs")
+COLUMNS = ("scenario", "score", *OF_SEEDS, "baseline", "obtained", "broken")
 
 
 @dataclass(frozen=True)
 class GivenSet:
-    """A set to check: `spec` of its campaign, empty for a file; `axes`: points of its curves; `seeds` that report it; `read` from a
-    calibration file, with units and faults."""
+    """A set to check: `spec` and `baseline` of its campaign, empty for a file; `axes`: points of its curves; `seeds` that report it; `read`
+    from a calibration file, with units and faults."""
 
     parameters: Parameters
     spec: Mapping[str, Any] = field(default_factory=dict)
     axes: Axes = field(default_factory=dict)
     seeds: Sequence[int] = ()
     read: Mapping[str, Characteristic] = field(default_factory=dict)
+    baseline: Parameters = field(default_factory=dict)
 
 
 class SetLimit(GoalSpecification):
@@ -139,6 +141,25 @@ class CheckedSet:
         yield from (("baseline: ", each) for each in self.baseline.values())
         yield from (("", each) for each in self.evaluations.values())
 
+    @property
+    def beside_baseline(self) -> dict[str, float]:
+        """The baseline's mean score, and the gain over it as `gain` has it; empty without both means."""
+        before = next(iter(self.baseline.values()), None)
+        if before is None or before.objective is None or self.first.objective is None:
+            return {}
+        gain = self.gain(next(iter(self.evaluations)), self.first.items, before.items)
+        return dict(zip(("baseline", "gain", "gain_lower", "gain_upper"), (before.objective, *gain), strict=False))
+
+    def gain(self, score: str, cells: Sequence[EvaluatedCell], before: Sequence[EvaluatedCell]) -> list[float]:
+        """Returns the mean gain over the baseline, and with several seeds its 95 % interval, without what a seed does to both."""
+        from drivecal.analysis.replicates import interval  # takes a part of a second
+
+        runs, others = (zip(*(cell.scores or [cell.score] for cell in side), strict=True) for side in (cells, before))
+        sign = -1 if self.problem.scores[score]["direction"] == "minimise" else 1
+        gains = [sign * (fmean(map(float, run)) - fmean(map(float, other))) for run, other in zip(runs, others, strict=True)]
+        ends = interval(gains, None, 0.95) if len(gains) > 1 else ()
+        return [fmean(gains), *(end for end in ends if end is not None)]
+
     def findings(self, limits: Sequence[SetLimit]) -> Iterator[Finding]:
         """Yields a finding for each scenario, which needs a result, and for each limit in its scenarios."""
         for cell in self.first.items:
@@ -156,8 +177,7 @@ class CheckedSet:
         from drivecal.analysis.replicates import rate_bounds  # takes a part of a second
 
         cells, rate = [cell for cell in self.first.items if cell.scenario in names], limit.rate or 0.0
-        failed = sum(cell.failures if cell.scores else cell.failure is not None for cell in cells)
-        runs = sum(max(1, len(cell.scores)) for cell in cells)
+        failed, runs = map(sum, zip((0, 0), *map(_failed, cells), strict=True))
         least, most = rate_bounds(failed, runs, limit.confidence)
         if most <= rate:
             return Finding("all", limit.text, None)
@@ -183,9 +203,8 @@ class CheckedSet:
         else:
             if before is None or before.score is None:
                 return Finding(scenario, limit.text, f"the baseline has no value of {limit.label}")
-            sign = -1 if self.problem.scores[limit.score or ""]["direction"] == "minimise" else 1
-            excess, half = sign * (before.score - value) - (limit.worse_by_at_most or 0.0), _half_width(cell, before)
-            least, most = excess - half, excess + half
+            losses = [-gain - (limit.worse_by_at_most or 0.0) for gain in self.gain(limit.score or "", [cell], [before])]
+            least, most = min(losses), max(losses)
             shown += f", and {score_text(before.score)} in the baseline"
         if most <= grain(value):
             return Finding(scenario, limit.text, None)
@@ -205,15 +224,9 @@ def _known(cell: EvaluatedCell | None, limit: SetLimit) -> tuple[float | None, f
     return (cell.metrics or {}).get(limit.measure), *cell.within.get(limit.measure, (None, None))
 
 
-def _half_width(cell: EvaluatedCell, before: EvaluatedCell) -> float:
-    """Returns half the width of the interval of a difference from the baseline, without what a seed does to both; 0 for a single run."""
-    pairs = zip(cell.scores, before.scores, strict=False)
-    differences = [one - other for one, other in pairs if one is not None and other is not None]
-    for each in (cell, before):
-        if each.standard_error and each.lower is not None and each.upper is not None:
-            student = (each.upper - each.lower) / 2 / each.standard_error
-            return student * stdev(differences) / math.sqrt(len(differences))
-    return 0.0
+def _failed(cell: EvaluatedCell) -> tuple[int, int]:
+    """Returns the number of failed runs, and of all runs."""
+    return (cell.failures, len(cell.scores)) if cell.scores else (int(cell.failure is not None), 1)
 
 
 @app.command()
@@ -228,7 +241,9 @@ def check(
     ],
     problem: Annotated[str | None, typer.Option(help="The problem; by default the campaign's, or highway.")] = None,
     limits: Annotated[str | None, typer.Option(metavar="FILE", help="Limits of scores and measures, YAML or JSON.")] = None,
-    baseline: Annotated[str | None, typer.Option(metavar="SET", help="A set to compare with, given as SET is.")] = None,
+    baseline: Annotated[
+        str | None, typer.Option(metavar="SET", help="A set to compare with, as SET, or `campaign`: its own.")
+    ] = None,
     names: Annotated[str | None, typer.Option(metavar="FILE", help="Labels of the parameters in DCM and CDFX files.")] = None,
     variant: Annotated[str | None, typer.Option(metavar="NAME", help="Of ID#RANK: rank and check it for this variant.")] = None,
     vehicle_parameters: VehicleOption = None,
@@ -266,7 +281,7 @@ def check(
     wait = partial(ended, client, timeout=timeout, waiting=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
     compared: dict[str, Evaluation] = {}
     if baseline is not None:
-        before = _set(client, baseline, names)
+        before = GivenSet(given.baseline) if baseline == "campaign" and given.baseline else _set(client, baseline, names)
         _refuse_another_form(before, known)
         values = _values(before.parameters, own, known.shapes)
         compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
@@ -282,10 +297,16 @@ def check(
     broken = [finding for finding in findings if finding.broken is not None]
 
     def show() -> None:
-        columns = [name for name in COLUMNS if name not in INTERVAL or any(cell.scores for cell in checked.first.items)]
+        columns = [name for name in COLUMNS if name not in OF_SEEDS or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
             typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
+        if beside := checked.beside_baseline:
+            within = within_text(beside.get("gain_lower"), beside.get("gain_upper"))
+            paired = f"{beside['gain']:.4g}{within and f'{within} by equal seeds'}"
+            typer.echo(
+                f"mean score of the baseline: {score_text(beside['baseline'])}; gain over it, below 0 for a loss: {paired}"
+            )
         if findings:
             tried = "; ".join(dict.fromkeys(finding.limit for finding in findings))
             typer.echo(f"kept in {len(findings) - len(broken)} of {len(findings)} places: {tried}")
@@ -311,7 +332,7 @@ def _set(client: Client, given: str, names: str | None, variant: str | None = No
         chosen = ranked[int(rank) - 1]
         axes: Axes = {name: shape.axes for name, shape in shapes.items()}
         spec = campaign.spec if variant is None else _of_variant(campaign.spec, variant, list(chosen.scores))
-        return GivenSet(chosen.parameters, spec, axes, chosen.seeds)
+        return GivenSet(chosen.parameters, spec, axes, chosen.seeds, baseline=getattr(campaign.baseline, "parameters", {}))
     if variant is not None:
         raise typer.BadParameter("only a campaign's set, ID#RANK, has variants", param_hint="--variant")
     if given != "-" and not Path(given).exists():
@@ -475,6 +496,7 @@ def _rows(checked: CheckedSet, findings: Sequence[Finding], unsure: str = " (uns
     before = {cell.scenario: cell.score for each in list(checked.baseline.values())[:1] for cell in each.items}
     for cell in checked.first.items:
         name, own = cell.scenario, {each: getattr(cell, each) for each in ("score", *INTERVAL)}
+        own |= zip(("failures", "runs"), _failed(cell), strict=True)
         failed = [finding for finding in findings if finding.scenario == name and finding.broken is not None]
         broken = "; ".join(finding.limit + (unsure if finding.unsure else "") for finding in failed)
         yield {"scenario": name, **own, "baseline": before.get(name), "obtained": cell.outcome, "broken": broken}
@@ -485,6 +507,7 @@ def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any
         "passed": all(finding.broken is None for finding in findings),
         "notes": checked.notes,
         **{name: getattr(checked.first, name) for name in ("objective", *INTERVAL)},
+        **checked.beside_baseline,
         "scenarios": list(_rows(checked, findings, "")),
         "findings": [asdict(finding) for finding in findings],
     }
