@@ -397,14 +397,13 @@ def _has_outlook(campaign: Campaign) -> bool:
 
 def _budget(campaign: Campaign) -> Iterator[ResultVerdict]:
     """Yields how much of the budget is used."""
-    if campaign.budget is None:
-        return
     stored = campaign.cells.repeated if _has_outlook(campaign) else 0  # a search by the cell counts them
-    by = {"simulations": f" and {stored:,} stored answers"} if stored else {}
+    taken = f", {campaign.spent.stored:,} of them from the table" if campaign.spent.stored else ""
+    by = {"simulations": f" and {stored:,} stored answers" if stored else taken}
     used = [
         f"{round(spent, 1 if limit >= 1 else 2):,} of {limit:,.12g} {unit}{by.get(unit, '')}"
         for unit, spent in (("simulations", campaign.spent.simulations), ("minutes", campaign.spent.minutes))
-        if (limit := campaign.budget.get(unit)) is not None
+        if (limit := (campaign.budget or {}).get(unit)) is not None
     ]
     if used:
         yield verdict("budget", "neutral", used=", ".join(used))

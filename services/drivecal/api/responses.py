@@ -53,9 +53,10 @@ def _search(stored: StoredCampaign) -> dict[str, Any]:
     search, end = stored.search, stored.state.value if stored.state.ended else None
     ended_by = None if search is None else search.ended_by
     minutes = 0.0 if search is None else search.spent_minutes or 0.0
+    taken = stored.cells.shared if (stored.spec.get("reduction") or {}).get("isolated") else 0
     return {
         "budget": stored.spec.get("budget"),
-        "spent": Spent(simulations=stored.cells.runs - stored.cells.lost, minutes=minutes),
+        "spent": Spent(simulations=stored.cells.runs - stored.cells.lost + taken, stored=taken, minutes=minutes),
         "ended_by": end if end in {"cancelled", "failed"} and search is not None else ended_by,
         "repaired": Repaired() if search is None else search.repaired,
     }

@@ -272,9 +272,11 @@ class SearchState(Answer):
 
 
 class Spent(Answer):
-    """The used part of a budget; minutes of the wall clock up to the last result."""
+    """The used part of a budget; minutes of the wall clock up to the last result. `stored`: simulations of other campaigns that count in
+    the budget of an `isolated` campaign, among `simulations`."""
 
     simulations: int = 0
+    stored: int = 0
     minutes: float = 0.0
 
 

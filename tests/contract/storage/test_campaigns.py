@@ -220,3 +220,12 @@ def test_a_campaign_never_shows_a_negative_time(connection: Connection) -> None:
     running = campaigns.by_sequence(connection, sequence)
     assert campaign_answer(running, now() - timedelta(hours=1), silent=None).seconds.wall == 0.0
     assert campaign_answer(running, now() + timedelta(hours=1), silent=None).seconds.wall >= 3600.0
+
+
+def test_an_isolated_campaign_spends_its_budget_on_runs_of_others_too(connection: Connection) -> None:
+    stages = {StageName.CALIBRATION: {"requested": 9, "simulated": 9, "runs": 6, "lost": 1, "shared": 4}}
+    for isolated, simulations, stored in ((True, 9, 4), (False, 5, 0)):
+        known = campaign(connection)
+        known = replace(known, spec=dict(known.spec) | {"reduction": {"isolated": isolated}}, stages=stages)
+        spent = campaign_answer(known, now(), silent=None).spent
+        assert (spent.simulations, spent.stored) == (simulations, stored)

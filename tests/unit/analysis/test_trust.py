@@ -314,6 +314,8 @@ def test_a_search_says_what_more_brings(course: list[float | None], used: int, g
     known = Evidence(search=SearchCourse(stalled(*((best, None) for best in course)), {}))
     by_code = {each.code: each for each in trust(subject, known).verdicts}
     assert by_code["budget"].numbers == {"used": f"{used} of 200 simulations"}
+    shared = subject.model_copy(update={"spent": Spent(simulations=used, stored=7)})
+    assert verdicts(shared)["budget"].numbers == {"used": f"{used} of 200 simulations, 7 of them from the table"}
     assert by_code["ended"].numbers["share"] <= 1
     assert (by_code["outlook"].numbers["gain"] if "outlook" in by_code else None) == gain
     assert ("no_outlook" in by_code) == (used < 150)

@@ -211,7 +211,8 @@ def _search_text(campaign: Campaign) -> str:
     limits = {name: f" of {limit:,.10g}" for name, limit in (campaign.budget or {}).items() if limit is not None}
     simulations, minutes = limits.get("simulations", ""), limits.get("minutes", "")
     spent = round(campaign.spent.minutes, 1 if campaign.spent.minutes >= 1.0 else 2)
-    text = f"{campaign.spent.simulations:,}{simulations} simulations, {spent:,.10g}{minutes} min of searching"
+    taken = f"{campaign.spent.stored:,} of them from the table, " if campaign.spent.stored else ""
+    text = f"{campaign.spent.simulations:,}{simulations} simulations, {taken}{spent:,.10g}{minutes} min of searching"
     stored = campaign.cells.repeated + campaign.cells.reused
     if simulations and stored > 0 and (campaign.spec.get("optimizer") or {}).get("kind") == "surrogate":
         text += f"; {campaign.cells.requested:,}{simulations} cells asked for, {stored:,} stored answers among them"
