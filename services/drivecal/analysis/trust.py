@@ -354,7 +354,7 @@ def _baseline(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if campaign.best.violation < campaign.baseline.violation and not undecided:
         yield verdict("baseline_breaks_more", "amber" if campaign.best.violation > 0 else "green", subject="the best set")
     elif campaign.baseline.close:
-        gained = f": a gain of {gain:.4g}{under}" if under else ""
+        gained = f": a {'gain' if gain > 0 else 'loss'} of {abs(gain):.4g}{under}" if under else ""
         yield verdict("baseline_in_interval", "neutral", gained=gained)
     elif under and -gain > least:
         yield verdict("worse_than_baseline", "amber", loss=-gain, under=under)

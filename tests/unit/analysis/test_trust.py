@@ -232,6 +232,12 @@ def test_the_best_set_is_held_against_the_baseline(objective: float, given: dict
     assert result[code].question == "baseline", "a better set finishes no search"
 
 
+def test_runs_that_tell_nothing_name_a_loss_a_loss() -> None:
+    beside = [before(8.0, close=True).model_copy(update={"gain": gain}) for gain in (-3.0, 3.0)]
+    texts = [verdicts(campaign(baseline=each))["baseline_in_interval"].text for each in beside]
+    assert ["a loss of 3 under" in texts[0], "a gain of 3 under" in texts[1]] == [True, True]
+
+
 def test_constraints_come_first() -> None:
     broken = BEST.model_copy(update={"violation": 0.1})
     judged = trust(campaign("exact", best=broken, **EXACT))
