@@ -25,7 +25,7 @@ from drivecal.analysis.convergence import (
     stood_still,
 )
 from drivecal.analysis.verdicts import answers, confirmation_verdict, verdict
-from drivecal.contracts.campaign import Campaign, ErrorRate, Released
+from drivecal.contracts.campaign import Best, Campaign, ErrorRate, Released
 from drivecal.contracts.results import Light, ResultTrust, ResultVerdict, StudyResult
 from drivecal.contracts.specification import ConstraintSpecification, ReductionSpecification
 from drivecal.contracts.tables import ValidationRow
@@ -209,7 +209,7 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         code = "front_grew" if front.late else "front_stood"
         yield verdict(code, light, by=campaign.ended_by, late=front.late, size=front.size)
     if chosen is None and campaign.best is not None:
-        yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best.parameters, search)
+        yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best, search)
 
 
 def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
@@ -243,21 +243,21 @@ def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> 
         fields = ("name", "value", "baseline", "unit", "gain", "tolerance")
         objectives = [{name: getattr(each, name) for name in fields} for each in chosen.compared]
         yield verdict("beside_baseline", light, objectives=objectives)
-    yield from _at_ends("the chosen set", chosen.parameters, search)
+    yield from _at_ends("the chosen set", chosen, search)
 
 
-def _at_ends(subject: str, values: Mapping[str, float | str], search: SearchCourse | None) -> Iterator[ResultVerdict]:
-    at_end: dict[str, float] = {}
-    entries: dict[str, None] = {}
+def _at_ends(subject: str, judged: Best | Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
+    at_end, entries = dict[str, float](), dict[str, None]()
     search = search or SearchCourse([], {})
     for name, ends in search.ranges.items():
         for end, entry in zip(ends, search.limits.get(name, ("", "")), strict=True):
-            value = values.get(name)
+            value = judged.parameters.get(name)
             if isinstance(value, float | int) and abs(value - end) <= AT_END * (ends[1] - ends[0]) and entry is not None:
                 at_end[search.titles.get(name, name)] = value
                 entries |= {entry: None} if entry else {}
     if at_end:
-        yield verdict("at_ends", "amber", subject=subject, values=at_end, entries=list(entries))
+        light: Light | Literal["neutral"] = "neutral" if judged.failures else "amber"
+        yield verdict("at_ends", light, subject=subject, values=at_end, entries=list(entries))
 
 
 def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:

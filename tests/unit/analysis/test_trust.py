@@ -412,6 +412,8 @@ def test_values_at_an_end_of_their_range_are_named() -> None:
     result = verdicts(campaign(best=best), search=SearchCourse([], ranges))["at_ends"]
     assert result.numbers["values"] == {"P1": 0.5, "P2": 3.0}
     assert "at_ends" not in lights(campaign(best=best), search=SearchCourse([], {"P3": (0.0, 2.0)}))
+    failing = best.model_copy(update={"failures": 2})
+    assert lights(campaign(best=failing), search=SearchCourse([], ranges))["at_ends"] == "neutral"
     limits = {"P1": (None, ""), "P2": ("", "`upper: 3` of P2")}
     bound = verdicts(campaign(best=best), search=SearchCourse([], ranges, titles={"P2": "P at 5 m"}, limits=limits))["at_ends"]
     assert (bound.numbers["values"], bound.numbers["entries"]) == ({"P at 5 m": 3.0}, ["`upper: 3` of P2"])
