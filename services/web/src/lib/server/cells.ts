@@ -3,7 +3,7 @@
 import { get } from "./api.svelte";
 import { go } from "../route.svelte";
 import { number } from "../text/format";
-import { knownOf } from "../text/words";
+import { knownOf, seedsText } from "../text/words";
 import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
 
 /** One of two sets that a view compares. */
@@ -66,7 +66,7 @@ async function baselineCell(campaign: string, parameters: Values, scenario: stri
 /** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one. */
 export function baselineSide({ id, best, baseline }: Pick<Campaign, "id" | "best" | "baseline">, ofBest: boolean): SetSide | null {
   if (!baseline) return null;
-  const known = ofBest && typeof baseline.best_objective === "number" ? `under seeds ${baseline.seeds.join(", ")}; the best set has ${number(baseline.best_objective, 4)} under them, and ${number(best?.objective, 4)} as reported` : "";
+  const known = ofBest && typeof baseline.best_objective === "number" ? `${seedsText(baseline.seeds)}; the best set has ${number(baseline.best_objective, 4)} under them, and ${number(best?.objective, 4)} as reported` : "";
   return { ...baseline, ...(known && { known, beside: baseline.best_scores }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
 }
 

@@ -42,6 +42,9 @@ export function withoutSimulation(cells: Partial<Record<Outcome, number>>): numb
   return OUTCOMES.reduce((sum, outcome) => sum + (outcome === "simulated" || outcome === "failed" ? 0 : (cells[outcome] ?? 0)), 0);
 }
 
+/** The seeds of a set: a list of a few, else their number. */
+export const seedsText = (seeds: readonly number[]): string => (seeds.length > 5 ? `under its ${count(seeds.length)} seeds` : `under seed${seeds.length === 1 ? "" : "s"} ${seeds.join(", ")}`);
+
 /** One sentence about the state. */
 export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "budget">>): string {
   const { state, stage, requested_action: asked } = campaign;

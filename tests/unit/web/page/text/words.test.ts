@@ -15,3 +15,7 @@ test("a set says by how much it breaks constraints, or that its runs do not tell
 test("an interval may lack an end", () => {
   expect([intervalText({ lower: 1.25, upper: 2 }), intervalText({ lower: null, upper: 2 }), intervalText({ lower: null, upper: null })]).toEqual(["1.25 to 2", "unknown to 2", ""]);
 });
+
+test("many seeds of a set are counted", () => {
+  expect([[121], [1, 2], [1, 2, 3, 4, 5, 6]].map(seedsText)).toEqual(["under seed 121", "under seeds 1, 2", "under its 6 seeds"]);
+});
