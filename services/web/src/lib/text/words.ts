@@ -47,7 +47,7 @@ export const seedsText = (seeds: readonly number[]): string => (seeds.length > 5
 
 /** One sentence about the state. */
 export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "budget">>): string {
-  const { state, stage, requested_action: asked } = campaign;
+  const { state, stage, requested_action: asked, progress } = campaign;
   if (asked === "pause") return "Asked to pause: what runs at the workers is finished first.";
   if (asked === "cancel" || state === "cancelling") return "Asked to end: what runs at the workers is finished first, and kept.";
   if (state === "queued") return "Waiting for its turn.";
@@ -55,6 +55,7 @@ export function sentence(campaign: Moving & Partial<Pick<Campaign, "spec" | "bud
   if (state === "succeeded") return "Finished.";
   if (state === "cancelled") return "Ended on request; what was finished is kept.";
   if (state === "failed") return "Ended with an error.";
+  if (stage !== null && progress.done === 0 && progress.total > 0) return "Waiting for the workers' first results.";
   if (stage === "claims") return "Checking by simulation what stored runs mean for new parameters.";
   if (stage === "sensitivity") return "Analysing the influence of the parameters.";
   if (stage === "calibration") {

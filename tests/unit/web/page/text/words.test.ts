@@ -1,5 +1,5 @@
 import { expect, test } from "vitest";
-import { brokenText, intervalText, regionText } from "$lib/text/words";
+import { brokenText, intervalText, regionText, seedsText, sentence } from "$lib/text/words";
 
 test("a map says nothing of values outside its space", () => {
   const text = (region: string, other: string, lower: number | null, upper: number | null): string => regionText({ region, reference_region: other, lower, upper } as Parameters<typeof regionText>[0]);
@@ -18,4 +18,9 @@ test("an interval may lack an end", () => {
 
 test("many seeds of a set are counted", () => {
   expect([[121], [1, 2], [1, 2, 3, 4, 5, 6]].map(seedsText)).toEqual(["under seed 121", "under seeds 1, 2", "under its 6 seeds"]);
+});
+
+test("a search without a result waits for its workers", () => {
+  const text = (done: number): string => sentence({ state: "running", requested_action: null, stage: "calibration", iteration: 4, budget: {}, progress: { done, total: 500 } } as unknown as Parameters<typeof sentence>[0]);
+  expect([text(0), text(1)]).toEqual(["Waiting for the workers' first results.", "Searching: round 5."]);
 });
