@@ -6,8 +6,8 @@
 - `--problems NAME ...`: problems of `economy`, or `choices`, whose objective has noise of `--noises` distances of the best and the tenth
   best of 100 random sets, and as much that all sets have in common, or `random_motorway`: the TRUE objective of the set that a campaign of
   `--cells` runs reports, over `--seeds` seeds, how far the report is off in the mean, in how many seeds an arm is better or worse than the
-  first one, how many 95 % intervals hold the truth, the probability claimed that no set that was run is better than the reported one, in
-  which share of the campaigns none is, and in which the best one was listed as perhaps as good. `single` believes single samples, `after`
+  first one, how many 95 % intervals hold the truth, the probability claimed that no set that was run is better than the reported one, the
+  share of campaigns where none is, the share where the best one was listed as perhaps as good. `single` believes single samples, `after`
   has replicates after the search alone.
 """
 
