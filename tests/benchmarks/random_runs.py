@@ -286,7 +286,8 @@ def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
             ]
             for arm, ended in zip(options.arms, zip(*by_seed, strict=True), strict=True):
                 results, claims = zip(*ended, strict=True)
-                claimed, *right = np.nanmean(np.array(claims, dtype=np.float64), axis=0).tolist()
+                probable, *right = zip(*claims, strict=True)
+                claimed = np.mean([each for each in probable if np.isfinite(each)] or [np.nan])
                 truths = figures[f"{name} {noise} {cells} {arm}"] = [truth for truth, *_ in results]
                 off, held = (
                     np.array([report - truth for truth, report, _ in results]),
@@ -296,7 +297,7 @@ def compared(options: Any, figures: dict[str, list[float]]) -> Iterator[str]:
                 yield (
                     f"{name:16}{noise:>6}{cells:>6}{arm:>11}{np.mean(truths):>10.3f}{min(truths):>10.3f}{np.abs(off).mean():>9.3f}"
                     f"{off.mean():>9.3f}{sum(others > 1e-9):>4}:{sum(others < -1e-9):<3}{p_value(others):>14}"
-                    f"{sum(held):>7} of {len(held)}{claimed:>9.2f}" + "".join(f"{share:>8.2f}" for share in right)
+                    f"{sum(held):>7} of {len(held)}{claimed:>9.2f}" + "".join(f"{np.mean(share):>8.2f}" for share in right)
                 )
 
 
