@@ -262,6 +262,11 @@ class Ranking:
                     sets.pop(number, None)
 
     @property
+    def has_front(self) -> bool:
+        """True if several objectives make a front."""
+        return len(self._goals.objectives) > 1
+
+    @property
     def sets(self) -> int:
         """Number of sets with an answer."""
         return len(self._runs)

@@ -550,3 +550,26 @@ def test_a_small_budget_decides_the_rate_of_one_set_before_it_tries_another() ->
     winner = ranking.best_first()[0]
     assert (winner.parameter_set, winner.is_undecided) == (2, False)
     assert [ranking.to_show(place) for place in range(4)] == [None, None, 0, 21 - (len(ranking.seeds(3)) - 1)]
+
+
+def test_sets_of_a_front_get_further_runs_and_lucky_ones_leave_it() -> None:
+    worst = Objective("worst", CellValue(COST), {"S1": 1.0}, Aggregate("max"), -1)
+    other = Objective("gap", GAP, {"S1": 1.0}, Aggregate(), -1)
+    ranking, left = Ranking({"S1": 1}, Goals((worst, other)), USUAL), 24
+    truths, drawn = (
+        {0: (1.0, 4.0), 1: (2.0, 2.0), 2: (4.0, 1.0), 3: (5.0, 5.0)},
+        np.random.default_rng(1).normal(size=(4, 20, 2)),
+    )
+    chosen = [(number, 1) for number in truths]
+    while chosen:
+        left -= len(chosen)
+        for number, seed in chosen:
+            cost, gap = np.add(
+                truths[number], [-4.0, 0.0] if (number, seed) == (3, 1) else 0.1 * drawn[number, seed - 1]
+            ).tolist()
+            ranking.add([one_run(number, seed, cost, values={GAP.key: gap})])
+        chosen = next_runs(ranking, USUAL, 3, left)
+    assert sorted(member.solution.parameter_set for member in ranking.front()) == [0, 1, 2]
+    assert min(len(ranking.seeds(number)) for number in (0, 1, 2)) >= 5
+    assert 2 <= len(ranking.seeds(3)) < 5
+    assert max(max(ranking.seeds(number)) for number in truths) <= 12, "nothing reports a front"

@@ -134,7 +134,8 @@ def _missing_reports(ranking: Ranking, most: int) -> int:
 def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affordable: int) -> list[tuple[int, int]]:
     """Returns the sets to run next, by their ids, each with a seed; empty when the best set is known and reported, or nothing is left.
 
-    The first seeds choose the best set. The last ones then report it, so that its objective does not profit from the choice.
+    The first seeds choose the best set. The last ones then report it, so that its objective does not profit from the choice. Of a front,
+    the set with the fewest runs is next: a set that a lucky run put there leaves it. Nothing reports it.
 
     Args:
         ranking: all sets.
@@ -146,7 +147,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     if kept is None or wanted.most < 2:
         return []
     choosing = replicates.choosing(wanted.most)
-    fresh = range(choosing + 1, wanted.most + 1)
+    fresh = range(choosing + 1, choosing + 1 if ranking.has_front else wanted.most + 1)
     # without a set, there is nothing to report
     spare = affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
     numbers, known = ranking.statistics(spare) or kept
@@ -158,6 +159,12 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         place = min([leader, *close], key=lambda place: needed.get(place, choosing))
         half = max(1, len(ranking.seeds(numbers[place])) // 2)  # of its seeds so far: a bad set is soon known
         places = [place] * min(room, needed[place], half)
+    elif ranking.has_front:
+        objectives = ranking.by_objective()[1]
+        is_exact = bool(objectives) and all(each.is_known and not each.is_random for each in objectives)
+        members = {member.solution.parameter_set for member in ranking.front() if not is_exact}
+        open_ = [place for place, number in enumerate(numbers) if number in members and known.counts[place] < choosing]
+        places = sorted(open_, key=lambda place: int(known.counts[place]))[: max(0, min(room, affordable))]
     else:
         # a small budget reports by fewer runs
         report = (
