@@ -70,7 +70,7 @@ class Slot:
 
 
 class WorkerInfo(WorkerAnswer):
-    """A worker: `state` is `starting`, `idle` or `busy`. No other process ever has its `id`. The pool adds its activity."""
+    """A worker: `state` is `starting`, `idle` or `busy`. No other process ever has its `id`."""
 
     node: str
     pid: int | None = None

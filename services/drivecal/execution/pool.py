@@ -159,8 +159,8 @@ class WorkPool:
         self._observer = Observer()
 
     def workers(self) -> list[WorkerInfo]:
-        """Returns the backend's workers with their activity."""
-        return self._observer.describe(self._backend.workers())
+        """Returns the backend's workers."""
+        return self._backend.workers()
 
     def trouble(self) -> str | None:
         """Returns the reason for missing or refusing workers, or None."""
@@ -292,7 +292,6 @@ class WorkPool:
                     dispatch.worker, dispatch.batch_id, dispatch.batch, dispatch.expected_seconds, alone=dispatch.alone
                 )
                 self._sent[dispatch.batch_id] = dispatch
-                self._observer.sent(dispatch)
             if not dispatches:
                 break
         idle = {slot.worker for slot in self._backend.slots() if slot.idle}

@@ -140,7 +140,7 @@ class SupervisedBackend(Backend, ABC):
         self._ship(chosen, batch.setup.bundle)
         unknown = 0.0 if batch.setup.timeout is None else math.inf
         expected = unknown if expected_seconds is None else expected_seconds
-        call = Call(batch_id, len(batch.cells), self._send(chosen, batch), allowed, expected)
+        call = Call(batch_id, len(batch.cells), batch.setup.scenario, self._send(chosen, batch), allowed, expected)
         chosen.take(call, alone=alone)
 
     def _ship(self, worker: WorkerProcess, bundle: str | None) -> None:
@@ -264,6 +264,8 @@ class SupervisedBackend(Backend, ABC):
         call = worker.next_call()
         worker.cells += call.cells
         result: BatchResult = value
+        if result.results:
+            worker.recent.append((len(result.results), result.seconds))
         if any(answer.breakdown is None for answer in result.results):
             worker.faults, worker.reason = 0, ""
         if result.refusal is not None:

@@ -3,6 +3,7 @@
 import time
 from collections import deque
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from drivecal.cluster.members import Node
@@ -12,6 +13,8 @@ from drivecal.execution.backend import LONGEST_QUEUED, Lost
 CALLS_PER_WORKER = 2
 LONGEST_PAUSE = 30.0
 """Longest pause between attempts to start a worker, s."""
+RECENT_BATCHES = 20
+"""Batches that the speed is taken from: some seconds of work."""
 
 
 @dataclass(slots=True)
@@ -20,6 +23,7 @@ class Call:
 
     batch_id: int
     cells: int
+    scenario: str
     reference: Any
     seconds: float
     """Time limit."""
@@ -54,6 +58,8 @@ class WorkerProcess:
     node: str = ""
     pid: int | None = None
     cells: int = 0
+    recent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=RECENT_BATCHES))
+    """Results and seconds of the last batches."""
     bundles: set[str] = field(default_factory=set)
     """Digests of bundles whose files were sent to it."""
 
@@ -80,6 +86,22 @@ class WorkerProcess:
     def state(self) -> str:
         """State that users see."""
         return "starting" if not self.ready else "busy" if self.calls else "idle"
+
+    @property
+    def scenario(self) -> str | None:
+        """Scenario of the running call; None without one."""
+        return self.calls[0].scenario if self.calls else None
+
+    @property
+    def since(self) -> datetime | None:
+        """Start of the running call; None without one."""
+        return datetime.now(UTC) - timedelta(seconds=self.busy_seconds()) if self.calls else None
+
+    @property
+    def cells_per_second(self) -> float | None:
+        """Speed in the last batches; None before the first."""
+        seconds = sum(spent for _, spent in self.recent)
+        return sum(count for count, _ in self.recent) / seconds if seconds else None
 
     @property
     def waited_for(self) -> Any:

@@ -1,47 +1,14 @@
 import json
-from datetime import UTC, datetime
 
 from tests.support.plant import cells
 from tests.support.setups import bare as setup
 
 from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import Lost, WorkerInfo
+from drivecal.execution.backend import Lost
 from drivecal.execution.measures import MEASURES, Measures
-from drivecal.execution.observing import Activity, Observer
+from drivecal.execution.observing import Observer
 from drivecal.execution.scheduling.in_flight import Dispatch
-
-WORKER = WorkerInfo(id="worker-1", node="here", pid=7, state="busy", cells=30)
-
-
-def test_a_worker_does_the_first_of_what_it_was_sent_since_the_one_before_came_back() -> None:
-    now = [0.0]
-    activity = Activity(lambda: now[0])
-    assert activity.describe([WORKER]) == [WORKER]
-    activity.sent("worker-1", 1, "S1")
-    now[0] = 60.0
-    activity.sent("worker-1", 3, "S3")
-    activity.came_back("worker-1", 3, 0, 0.0)  # it was taken back
-    activity.sent("worker-1", 2, "S2")
-    (first,) = activity.describe([WORKER])
-    assert (first.scenario, first.since, first.cells_per_second) == ("S1", datetime(1970, 1, 1, 0, 0, tzinfo=UTC), None)
-    activity.came_back("worker-1", 1, 30, 15.0)
-    (second,) = activity.describe([WORKER])
-    assert (second.scenario, second.since, second.cells_per_second) == ("S2", datetime(1970, 1, 1, 0, 1, tzinfo=UTC), 2.0)
-    activity.came_back("worker-1", 2, 0, 0.0)
-    (idle,) = activity.describe([WORKER])
-    assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)
-
-
-def test_late_and_unknown_batches_and_workers_change_nothing() -> None:
-    activity = Activity()
-    activity.sent("worker-1", 1, "S1")
-    activity.came_back("ghost", 1, 1, 1.0)
-    activity.came_back("worker-1", 9, 1, 1.0)
-    activity.came_back("worker-1", 9, 0, 0.0)
-    assert activity.describe([WORKER])[0].scenario == "S1"
-    activity.describe([])
-    assert activity.describe([WORKER]) == [WORKER]
 
 
 def test_a_snapshot_is_a_document_that_later_events_leave_alone() -> None:

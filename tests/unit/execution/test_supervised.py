@@ -3,6 +3,7 @@
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -10,11 +11,13 @@ from unittest.mock import Mock
 import pytest
 import yaml
 from tests.support.pooled import MemoryLeases
+from tests.support.setups import bare
+from tests.support.values import present
 from tests.support.zips import zipped
 
 from drivecal.adapters.children import REPLY_SECONDS
 from drivecal.bundles.archives import content_digest
-from drivecal.contracts.work import Batch, Cell, SetupRequest
+from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupRequest
 from drivecal.execution import supervised, worker_process
 from drivecal.execution.backend import Finished
 from drivecal.execution.pool import WorkPool
@@ -200,3 +203,25 @@ def test_workers_wait_while_the_machine_has_no_room_for_a_process(tmp_path: Path
         assert backend.trouble() == f"1 of 1 workers do not start: {backend.workers()[0].id} cannot be started: no room"
     backend.wait(10.0)
     assert (backend.trouble(), backend.workers()[0].state) == (None, "idle")
+
+
+def test_a_worker_runs_its_first_batch_since_the_one_before_came_back(
+    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = CellResult(1, None, None, {}, None, 1.0)
+    monkeypatch.setattr(WorkersHere, "_send", lambda *_: Answered(BatchResult("worker-1", (result,) * 30, 15.0)))
+    backend = WorkersHere([tmp_path])
+    backend.wait(0.0)
+    backend.submit("worker-1", 1, Batch(bare("S1"), (Cell(1, {}),)), None)
+    clock.sleep(60.0)
+    backend.submit("worker-1", 2, Batch(bare("S2"), (Cell(2, {}),)), None)
+    [first] = backend.workers()
+    assert (first.scenario, first.cells_per_second) == ("S1", None)
+    assert (datetime.now(UTC) - present(first.since)).total_seconds() == pytest.approx(60.0, abs=5.0)
+    backend.wait(0.0)
+    [second] = backend.workers()
+    assert (second.scenario, second.cells_per_second) == ("S2", 2.0)
+    assert (datetime.now(UTC) - present(second.since)).total_seconds() == pytest.approx(0.0, abs=5.0)
+    backend.wait(0.0)
+    [idle] = backend.workers()
+    assert (idle.scenario, idle.since, idle.cells_per_second) == (None, None, 2.0)
