@@ -109,9 +109,16 @@ export async function definitions(): Promise<Definitions> {
   return document.components.schemas;
 }
 
-/** A key for `Idempotency-Key`. `crypto.randomUUID` exists on https and localhost alone. */
-export function newKey(): string {
-  return Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("");
+let starting = { content: "", key: "" };
+
+/** Starts something. The same content has the same key until it has started: pressing twice, or again after a broken connection, starts one. */
+export async function start<T>(path: string, body: unknown): Promise<T> {
+  const content = path + JSON.stringify(body);
+  // `crypto.randomUUID` exists on https and localhost alone
+  if (starting.content !== content) starting = { content, key: Array.from(crypto.getRandomValues(new Uint8Array(16)), (byte) => byte.toString(16).padStart(2, "0")).join("") };
+  const made = await send<T>("POST", path, body, { "Idempotency-Key": starting.key });
+  if (starting.content === content) starting = { content: "", key: "" };
+  return made;
 }
 
 /** All items of a list that comes in pages. */

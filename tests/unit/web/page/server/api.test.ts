@@ -1,12 +1,22 @@
 import { afterEach, expect, test, vi } from "vitest";
-import { all, ask, newKey, whenRefused } from "$lib/server/api.svelte";
+import { all, ask, start, whenRefused } from "$lib/server/api.svelte";
 
 afterEach(() => vi.unstubAllGlobals());
 
-test("a key of a request needs nothing that a page of plain http lacks, and differs from the last", () => {
-  vi.stubGlobal("crypto", { getRandomValues: crypto.getRandomValues.bind(crypto) });
-  expect(newKey()).toMatch(/^[0-9a-f]{32}$/);
-  expect(newKey()).not.toBe(newKey());
+test("what is started again has the same key until it has started", async () => {
+  vi.stubGlobal("crypto", { getRandomValues: crypto.getRandomValues.bind(crypto) }); // all that a page of plain http has
+  const keys: (string | null)[] = [];
+  let isAway = true;
+  vi.stubGlobal("fetch", async (_: string, options: RequestInit) => {
+    keys.push(new Headers(options.headers).get("Idempotency-Key"));
+    return isAway ? Promise.reject(new TypeError("away")) : new Response("{}");
+  });
+  await expect(start("/campaigns", { name: "a" })).rejects.toThrow();
+  isAway = false;
+  for (const name of ["a", "a", "b"]) await start("/campaigns", { name });
+  expect(keys[0]).toMatch(/^[0-9a-f]{32}$/);
+  expect(keys[1]).toBe(keys[0]);
+  expect(new Set(keys).size).toBe(3);
 });
 
 test("a list is read to its end, however many pages it has", async () => {
