@@ -23,8 +23,6 @@ from drivecal.storage.engine.urls import parse, sqlite_file
 DISPATCHER = (sys.executable, "-P", "-m", "drivecal.dispatch")
 BACKLOG = 512
 PROBE_SECONDS = 2.0
-ANSWERING = "the page answers at %s; the workers are starting"
-"""Message of the log once the API works."""
 
 log = logging.getLogger(__name__)
 
@@ -84,20 +82,16 @@ def prepare_database(settings: Settings) -> Database:
 
 
 class Startup:
-    """Looks for what a new server still waits for. Logs ANSWERING once the API works."""
+    """Looks for what a new server still waits for."""
 
     def __init__(self, database: Database, url: str) -> None:
         """Call it before the dispatcher starts, whose term is compared with the last one: the clock may be set meanwhile."""
         self._database, self._url = database, url
-        self._is_announced = False
         self._last_term = database.query(processes.term_in_office)
 
     def missing(self) -> list[str]:
         """Returns what is not ready yet."""
         lacking = [] if _answers(self._url) else ["API"]
-        if not lacking and not self._is_announced:
-            self._is_announced = True
-            log.info(ANSWERING, self._url)
         try:
             dispatcher = self._database.query(processes.read, processes.DISPATCHER)
         except DrivecalError as error:

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -98,9 +97,8 @@ def _interrupted_by_sigterm() -> Iterator[None]:
 
 
 def url_when_ready(process: subprocess.Popen[bytes], home: Path, say: Callable[[str], None]) -> str:
-    """Returns the address once the workers are ready. Tells it as soon as the page answers, and how long the workers have been starting."""
+    """Returns the address once the workers are ready. Reports how long the server has been starting."""
     began = last_sign = time.monotonic()
-    page: str | None = None
     while (now := time.monotonic()) < began + SECONDS_TO_START:
         line, newline, _ = (home / ANNOUNCEMENT).read_text().partition("\n")
         if newline:
@@ -109,25 +107,13 @@ def url_when_ready(process: subprocess.Popen[bytes], home: Path, say: Callable[[
             return url
         if process.poll() is not None:
             raise DrivecalError(f"the coordinator did not start (exit status {process.returncode}):\n{_end_of(home / LOG)}")
-        if page is None and (page := _answering(home / LOG)) is not None:
-            say(f"the page is at {page}; the workers are starting")
-            last_sign = now
-        elif now >= last_sign + SECONDS_BETWEEN_SIGNS:
-            say(f"{'the server is' if page is None else 'the workers are'} still starting ({now - began:.0f} s)")
+        if now >= last_sign + SECONDS_BETWEEN_SIGNS:
+            say(f"the server and its workers are still starting ({now - began:.0f} s)")
             last_sign = now
         time.sleep(0.1)
     raise DrivecalError(
         f"the coordinator is not ready after {SECONDS_TO_START:.0f} s; if the machine was busy, try again:\n{_end_of(home / LOG)}"
     )
-
-
-def _answering(log: Path) -> str | None:
-    """Returns the address of the page once the log says that it answers."""
-    from drivecal.server.serving import ANSWERING
-
-    pattern = re.escape(ANSWERING).replace("%s", r"(http://\S+)")
-    answering = re.search(pattern, log.read_text(errors="replace"))
-    return None if answering is None else answering[1]
 
 
 def _end_of(log: Path) -> str:

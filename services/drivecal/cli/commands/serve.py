@@ -89,7 +89,7 @@ def _serve(settings: Settings, host: str, port: int, *, as_json: bool) -> int:
             log.info("a token is asked for: %d in %s, %d of them may only read", len(tokens), settings.tokens_file, reading)
         database = serving.prepare_database(settings)
         database.dispose()
-        log.info("starting; the database is %s", database.name)
+        log.info("starting at %s; the database is %s", url, database.name)
 
         def ready() -> None:
             with suppress(OSError):  # of a full disk or a closed pipe: the server works all the same
