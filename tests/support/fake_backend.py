@@ -1,13 +1,13 @@
 """A backend in memory, on virtual time, whose cells misbehave as their parameters say."""
 
 import heapq
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
 from drivecal.contracts.work import Batch, BatchResult, Cell, CellResult, SetupKey
 from drivecal.domain.evaluations import Breakdown
-from drivecal.execution.backend import LONGEST_QUEUED, Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.backend import Finished, Lost, Slot, WorkerInfo
+from drivecal.execution.worker_process import Call, WorkerProcess
 
 
 class Behaviour(IntEnum):
@@ -24,25 +24,17 @@ def behaviour_of(cell: Cell) -> Behaviour:
     return Behaviour(int(cell.parameters.get("behaviour", 0)))
 
 
-@dataclass
-class _Worker:
-    place: int
-    incarnation: int = 1
-    queue: deque[tuple[int, Batch]] = field(default_factory=deque)
-    alone: bool = False
-    cells: int = 0
+@dataclass(slots=True)
+class _Worker(WorkerProcess):
+    """A worker; each of its calls refers to its batch."""
+
     ready_at: float = 0.0
     begun_at: float = 0.0
-    fault: str | None = None
     refusal: str | None = None
     tools: str | None = None
     busy: str | None = None
     bad: bool = False
     """Its cells fail in the running batch."""
-
-    @property
-    def name(self) -> str:
-        return f"worker-{self.place}" if self.incarnation == 1 else f"worker-{self.place}.{self.incarnation}"
 
 
 @dataclass
@@ -83,10 +75,13 @@ class FakeBackend:
     closed: bool = False
 
     def __post_init__(self) -> None:
-        self._workers = [_Worker(index) for index in range(1, self.n_workers + 1)]
+        places = range(1, self.n_workers + 1)
+        self._workers = [
+            _Worker(place, incarnation=1, handle="a process", node=self.nodes.get(place, "here")) for place in places
+        ]
         self._events: list[tuple[float, int, _Worker]] = []
         self._late: list[Finished | Lost] = []
-        self._ended: list[tuple[int, Batch]] = []
+        self._ended: list[Call] = []
         self._sequence = 0
         self._open: dict[str, dict[SetupKey, int]] = {}
         """Licences of open sessions by worker."""
@@ -100,10 +95,9 @@ class FakeBackend:
     def submit(self, worker: str, batch_id: int, batch: Batch, expected_seconds: float | None, *, alone: bool = False) -> None:
         chosen = self._named(worker)
         assert self._room(chosen, alone=alone), f"{worker} has no slot"
-        chosen.queue.append((batch_id, batch))
-        chosen.alone = alone or (expected_seconds or 0.0) > LONGEST_QUEUED
+        chosen.take(Call(batch_id, len(batch.cells), batch.setup.scenario, batch, 0.0, expected_seconds or 0.0), alone=alone)
         self.sizes.append((self.now, batch.setup.scenario, len(batch.cells)))
-        if len(chosen.queue) == 1:
+        if len(chosen.calls) == 1:
             self._begin(chosen)
 
     def wait(self, timeout: float) -> list[Finished | Lost]:
@@ -118,25 +112,22 @@ class FakeBackend:
         return result
 
     def slots(self) -> list[Slot]:
-        result = [Slot(worker.name, not worker.queue) for worker in self._workers if self._room(worker, alone=False)]
+        result = [Slot(worker.name, not worker.calls) for worker in self._workers if self._room(worker, alone=False)]
         return sorted(result, key=lambda slot: not slot.idle)
 
     def workers(self) -> list[WorkerInfo]:
-        states = ["starting" if item.ready_at > self.now else "busy" if item.queue else "idle" for item in self._workers]
-        return [
-            WorkerInfo(id=worker.name, node=self.nodes.get(worker.place, "here"), state=state, cells=worker.cells)
-            for worker, state in zip(self._workers, states, strict=True)
-        ]
+        starting = {worker.index: {"state": "starting"} for worker in self._workers if worker.ready_at > self.now}
+        return [WorkerInfo.of(worker, id=worker.name, **starting.get(worker.index, {})) for worker in self._workers]
 
     def replace(self, worker: str, fault: str | None) -> None:
         chosen = self._named(worker)
         assert self._room(chosen, alone=True), f"{worker} is not idle"
         self.replaced.append((worker, fault))
-        chosen.fault = fault
+        chosen.reason = fault or ""
         self._restart(chosen)
 
     def trouble(self) -> str | None:
-        return next((f"{worker.name}: {worker.fault}" for worker in self._workers if worker.fault), None)
+        return next((f"{worker.name}: {worker.reason}" for worker in self._workers if worker.reason), None)
 
     def close(self) -> None:
         self.closed = True
@@ -152,8 +143,9 @@ class FakeBackend:
     def repeat(self, index: int) -> None:
         """The result of a batch that was given up, or came back already, arrives late."""
         if self._ended:
-            batch_id, batch = self._ended[index % len(self._ended)]
-            self._late.append(Finished(batch_id, BatchResult("ghost", tuple(_answer(cell) for cell in batch.cells), 0.1)))
+            call = self._ended[index % len(self._ended)]
+            answers = tuple(map(_answer, call.reference.cells))
+            self._late.append(Finished(call.batch_id, BatchResult("ghost", answers, 0.1)))
 
     def _named(self, name: str) -> _Worker:
         return next(worker for worker in self._workers if worker.name == name)
@@ -163,20 +155,18 @@ class FakeBackend:
         worker.ready_at = self.now + self.restart_seconds
 
     def _room(self, worker: _Worker, *, alone: bool) -> bool:
-        if worker.ready_at > self.now:
-            return False
-        return not worker.queue or (not alone and not worker.alone and len(worker.queue) < 2)
+        return worker.ready_at <= self.now and worker.room(alone=alone)
 
     def _begin(self, worker: _Worker) -> None:
-        batch = worker.queue[0][1]
+        batch: Batch = worker.calls[0].reference
         seconds = self.overhead_seconds
         if batch.cells and batch.setup.resources and self.busy_until.get(batch.setup.scenario, 0.0) <= self.now:
             self._open.setdefault(worker.name, {})[batch.setup.key] = sum(batch.setup.resources.values())
             self._count()
         worker.begun_at = self.now
-        worker.refusal, worker.bad = self.refusing.get(worker.place), worker.place in self.bad
+        worker.refusal, worker.bad = self.refusing.get(worker.index), worker.index in self.bad
         wanted = None if batch.setup.bundle is None else batch.setup.tools
-        worker.tools = self.tools.get(worker.place, "1.0") if batch.cells == () or wanted is not None else None
+        worker.tools = self.tools.get(worker.index, "1.0") if batch.cells == () or wanted is not None else None
         if worker.refusal is None and wanted not in {None, worker.tools}:
             worker.refusal = f"the probe answers {worker.tools} and {wanted}"
         worker.busy = "no licence" if self.busy_until.get(batch.setup.scenario, 0.0) > self.now else None
@@ -192,7 +182,7 @@ class FakeBackend:
         heapq.heappush(self._events, (self.now + seconds, self._sequence, worker))
 
     def _end(self, worker: _Worker) -> list[Finished | Lost]:
-        batch_id, batch = worker.queue[0]
+        batch: Batch = worker.calls[0].reference
         refusal, bad, busy = worker.refusal, worker.bad, worker.busy
         sessions = self._open.get(worker.name, {})
         if batch.cells and batch.setup.key in sessions:
@@ -204,41 +194,38 @@ class FakeBackend:
         for behaviour, breakdown in ((Behaviour.CRASH, Breakdown.CRASH), (Behaviour.HANG, Breakdown.HANG)):
             if behaviour in behaviours:
                 return self._lose(worker, breakdown)
-        self._ended.append(worker.queue.popleft())
-        worker.cells += len(batch.cells)
+        call = worker.next_call()
+        self._ended.append(call)
+        worker.cells += call.cells
         seconds = self.now - worker.begun_at
         self.busy_seconds += seconds
-        if worker.queue:
+        if worker.calls:
             self._begin(worker)
         if refusal is not None:
-            tools = worker.tools if worker.place not in self.refusing else None
-            blames = worker.place in self.blaming
-            return [Finished(batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools, unsuitable=blames))]
+            tools = worker.tools if worker.index not in self.refusing else None
+            blames = worker.index in self.blaming
+            return [Finished(call.batch_id, BatchResult(worker.name, (), seconds, refusal, tools=tools, unsuitable=blames))]
         if busy is not None:
-            return [Finished(batch_id, BatchResult(worker.name, (), seconds, busy=busy))]
+            return [Finished(call.batch_id, BatchResult(worker.name, (), seconds, busy=busy))]
         if not batch.cells:
-            return [Finished(batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
+            return [Finished(call.batch_id, BatchResult(worker.name, (), seconds, tools=worker.tools))]
         answers = tuple(_error(cell, "SUMO is gone") if bad else _answer(cell) for cell in batch.cells)
         if any(answer.breakdown is None for answer in answers):
-            worker.fault = None
-        return [Finished(batch_id, BatchResult(worker.name, answers, seconds))]
+            worker.reason = ""
+        return [Finished(call.batch_id, BatchResult(worker.name, answers, seconds))]
 
     def _lose(self, worker: _Worker, breakdown: Breakdown, *, departed: bool = False) -> list[Finished | Lost]:
         self._open.pop(worker.name, None)
         begun: dict[int, int] = {}
-        for cell in worker.queue[0][1].cells if worker.queue else ():
+        for cell in worker.calls[0].reference.cells if worker.calls else ():
             begun[cell.id] = 1
             if behaviour_of(cell) in {Behaviour.CRASH, Behaviour.HANG}:
                 break
-        lost: list[Finished | Lost] = [
-            Lost(batch_id, worker.name, breakdown, "it died", None, not behind, departed, None if behind else begun)
-            for behind, (batch_id, _) in enumerate(worker.queue)
-        ]
-        self._ended += worker.queue
-        worker.queue.clear()
+        self._ended += worker.calls
+        lost = worker.lose(breakdown, "it died", departed=departed)
         self._restart(worker)
         self._sequence += 1
-        return lost
+        return [replace(each, seconds=None, starts=begun if each.begun else None) for each in lost]
 
 
 def _error(cell: Cell, detail: str) -> CellResult:

@@ -71,6 +71,7 @@ def collect(backend: Backend, count: int) -> dict[int, Finished | Lost]:
 
 def test_a_batch_comes_back_with_its_results_in_order(backend: Backend) -> None:
     worker = send(backend, 1, batch(WELL, WELL, WELL, first=11))
+    assert [each.scenario for each in backend.workers() if each.since is not None] == ["S1"]
     event = collect(backend, 1)[1]
     assert isinstance(event, Finished)
     assert [result.id for result in event.result.results] == [11, 12, 13]

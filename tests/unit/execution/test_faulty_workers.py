@@ -126,7 +126,7 @@ class Failing(FakeBackend):
     def _end(self, worker: Any) -> list[Finished | Lost]:
         events = super()._end(worker)
         for number, event in enumerate(events):
-            if worker.place == 1 and isinstance(event, Finished) and len(event.result.results) > 2:
+            if worker.index == 1 and isinstance(event, Finished) and len(event.result.results) > 2:
                 kept = event.result.results[:2]
                 events[number] = replace(event, result=replace(event.result, results=kept, refusal="no licence"))
         return events
@@ -148,7 +148,7 @@ class Picky(FakeBackend):
     """Refuses S1, after a while."""
 
     def _begin(self, worker: Any) -> None:
-        refuses = worker.queue[0][1].setup.scenario == "S1"
+        refuses = worker.calls[0].scenario == "S1"
         self.refusing = dict.fromkeys((1, 2), "no licence") if refuses else {}
         self.overhead_seconds = 30.0 if refuses else 0.001
         super()._begin(worker)

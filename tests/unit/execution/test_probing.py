@@ -215,7 +215,7 @@ class Staggered(FakeBackend):
     """Each worker takes 0.1 s longer than the one before."""
 
     def _begin(self, worker: Any) -> None:
-        self.overhead_seconds = 0.1 * worker.place
+        self.overhead_seconds = 0.1 * worker.index
         super()._begin(worker)
 
 
