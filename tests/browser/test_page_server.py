@@ -2,7 +2,6 @@
 
 import json
 import re
-from datetime import timedelta
 from pathlib import Path
 
 import pytest
@@ -14,8 +13,7 @@ from tests.support.server import serving
 
 from drivecal.bundles.archives import folder_digest
 from drivecal.client.problem_templates import write_problem
-from drivecal.storage import processes
-from drivecal.storage.engine.types import now
+from drivecal.storage import campaigns
 
 pytestmark = pytest.mark.slow
 
@@ -28,15 +26,13 @@ def test_a_campaign_is_followed_live(tmp_path: Path, opening: Opening) -> None:
         campaign = submit(api.database, **SMALL)
         page = opening(f"{api.url}/#/campaigns/{campaign.id}")
         expect(page.get_by_text("Waiting for its turn.").first).to_be_visible()
-        starting = {"workers": [{"id": f"worker {number}", "state": "starting"} for number in (1, 2)]}
         with api.database.transaction() as connection:
-            processes.heartbeat(connection, "dispatcher", 1, now() + timedelta(minutes=1), starting)
-        expect(page.get_by_text("The 2 workers are starting")).to_be_visible()
+            campaigns.explain(connection, {campaign.sequence: "no worker is ready yet"})
+        expect(page.get_by_text("no worker is ready yet")).to_be_visible()
         working = dispatcher(api.database)
         while get(api.database, campaign).cells.requested < 60:
             working.step()
         expect(page.get_by_text(re.compile(r"Searching: iteration \d"))).to_be_visible()
-        expect(page.get_by_text("workers are starting")).to_have_count(0)
         expect(page.get_by_text("begins with the first sets")).to_be_visible()
         while not api.http.get(f"/api/v1/campaigns/{campaign.id}/generations").json()["items"]:
             working.step()

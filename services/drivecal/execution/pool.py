@@ -55,6 +55,10 @@ class Questions:
             del self._open[tag]
         return question.answer
 
+    def asks(self, tag: str) -> bool:
+        """Returns whether a campaign waits for its answer."""
+        return tag in self._open
+
     def forget(self, tag: str) -> None:
         """Drops the question of a campaign."""
         self._open.pop(tag, None)
@@ -168,9 +172,9 @@ class WorkPool:
 
     def waits(self, tag: str, *, wholly: bool = False) -> str | None:
         """Returns why cells of the campaign `tag` wait for something else than their turn, or None. `wholly`: and none is at a worker."""
-        reason = self._scheduler.waits(tag, wholly=wholly)
-        if reason is None and self._scheduler.held(tag) and all(each.state == "starting" for each in self._backend.workers()):
-            return "no worker is ready"
+        reason, waits = self._scheduler.waits(tag, wholly=wholly), self._scheduler.held(tag) or self._questions.asks(tag)
+        if reason is None and waits and all(each.state == "starting" for each in self._backend.workers()):
+            return "no worker is ready yet; a first start compiles, which takes up to minutes"
         return reason
 
     def resources(self) -> list[ResourceAnswer]:

@@ -45,6 +45,16 @@ def test_one_worker_answers() -> None:
     assert backend.sizes == [(0.0, "city", 0)]
 
 
+def test_a_campaign_says_that_no_worker_is_ready_to_answer() -> None:
+    backend = FakeBackend(1)
+    pool = pool_on(backend)
+    backend.kill(0)
+    assert pool.probe(setup(), "a") is None
+    assert "no worker is ready" in (pool.waits("a") or "")
+    assert answer(pool) is not None
+    assert pool.waits("a") is None
+
+
 def test_another_worker_is_asked_if_the_first_cannot_say() -> None:
     pool = pool_on(FakeBackend(refusing={1: "mysim is not on PATH"}, tools={2: "2.1"}))
     assert answer(pool) == "2.1"

@@ -16,13 +16,10 @@ from drivecal.cli.views.output import by_outcome, duration
 from drivecal.cli.views.sections import judged_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CampaignEvent
-from drivecal.domain.campaigns import CampaignState
-from drivecal.domain.errors import DrivecalError
 
 SECONDS_BETWEEN_LINES = 5.0
 SHOWN = frozenset({"queued", "running", "generation", "succeeded", "failed", "cancelled"})
 """Kinds of events that the progress or the final state shows as well."""
-_STARTING = "waiting for workers: they are starting (compiling takes up to minutes, once per machine)"
 
 
 class Bar:
@@ -127,7 +124,6 @@ def show_until_ended(
     Raises TimeoutError when the monotonic clock passes `deadline`.
     """
     said: str | None = None
-    starting: bool | None = None
     with reporter() as report:
 
         def show_event(event: CampaignEvent) -> None:
@@ -138,20 +134,7 @@ def show_until_ended(
 
         for campaign in client.watch(identifier, deadline, show_event, from_beginning=from_beginning):
             report.show(campaign)
-            if starting is None and not CampaignState(campaign.state).ended:
-                starting = _are_starting(client)
-                if starting:
-                    report.say(_STARTING)
     return campaign
-
-
-def _are_starting(client: Client) -> bool | None:
-    """Returns whether there are workers and none of them can simulate yet; None if it is not known."""
-    try:
-        page = client.workers()
-    except DrivecalError:
-        return None
-    return all(worker.state == "starting" for worker in page.items) if page.fresh and page.items else None
 
 
 def stage_text(campaign: Campaign) -> str:
