@@ -11,6 +11,7 @@ from tests.support.web import WEB
 
 from drivecal.contracts.comparison import ComparisonSpecification
 from drivecal.contracts.specification import CampaignSpecification
+from drivecal.domain.events import EventKind
 from drivecal.plugins import registry
 
 FIELDS = json.loads((PROJECT / "services" / "web" / "src" / "lib" / "forms" / "fields.json").read_text())
@@ -34,6 +35,12 @@ def paths(schema: dict[str, Any], definitions: dict[str, Any], at: str = "") -> 
         path = f"{at}.{name}" if at else name
         yield path
         yield from paths(inner, definitions, path)
+
+
+def test_the_page_listens_to_every_kind_of_event() -> None:
+    source = (PROJECT / "services" / "web" / "src" / "lib" / "server" / "campaign.svelte.ts").read_text()
+    [listed] = re.findall(r"^const KINDS = (\[.*\]);$", source, re.MULTILINE)
+    assert set(json.loads(listed)) == set(EventKind)
 
 
 def test_every_field_that_is_explained_exists() -> None:

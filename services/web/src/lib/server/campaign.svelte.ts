@@ -7,6 +7,8 @@ export const MOST_EVENTS = 300;
 const READ_AGAIN_MILLISECONDS = 1_000;
 /** After an event: a fast search has several iterations a second. */
 const APART_MILLISECONDS = 300;
+/** All kinds of events: an `EventSource` listens to each by its name. */
+const KINDS = ["queued", "running", "pausing", "paused", "resuming", "resumed", "cancelling", "cancelled", "succeeded", "failed", "degraded", "recovered", "stalled", "stage", "phase", "influence_map", "generation", "best", "baseline", "lot_rejected", "note"];
 /** After these the answer of the campaign itself holds more than its progress. */
 const TELLING = new Set(["best", "baseline", "lot_rejected", "note", "influence_map", "stage", "generation", "failed", "succeeded", "cancelled", "queued", "paused"]);
 
@@ -36,6 +38,7 @@ export class CampaignState {
         if (this.campaign?.ended_at === null) this.campaign = { ...this.campaign, ...moving };
       },
       over: () => this.soon(0),
+      isOver: () => this.problem?.status === 404 || (this.campaign !== null && this.campaign.ended_at !== null),
     });
     // The answer's tag makes this cheap; it is there for what no event tells, such as audits, and notices that the server is away.
     const tick = setInterval(() => {
@@ -98,6 +101,8 @@ interface Follower {
   progress: (moving: Moving) => void;
   /** The stream ended or broke off: what it did not tell must be requested. */
   over: () => void;
+  /** Nothing follows any more. */
+  isOver: () => boolean;
 }
 
 const AGAIN_MILLISECONDS = 2_000;
@@ -105,67 +110,35 @@ const AGAIN_MILLISECONDS = 2_000;
 /** Follows a campaign until the returned function is called. Browsers open six connections to a server: a tab in the background has none. */
 function follow(campaign: string, follower: Follower): () => void {
   if (isReport) return () => undefined;
-  const address = `${ROOT}/campaigns/${encodeURIComponent(campaign)}/events`;
   let newest = 0;
-  let stream: AbortController | null = null;
+  let source: EventSource | undefined;
   let timer: ReturnType<typeof setTimeout> | undefined;
 
-  const take = (kind: string, data: string): void => {
-    if (kind === "progress") {
-      follower.progress(JSON.parse(data) as Moving);
-      return;
-    }
-    const event = JSON.parse(data) as CampaignEvent;
-    newest = event.id ?? newest;
-    follower.event(event);
-  };
-  const connect = async (): Promise<void> => {
-    if (stream !== null || document.hidden) return;
-    const own = (stream = new AbortController());
-    let ended = false;
-    try {
-      const answer = await fetch(address, { signal: own.signal, headers: newest > 0 ? { "Last-Event-ID": String(newest) } : {} });
-      ended = [204, 404].includes(answer.status);
-      if (answer.status === 200 && answer.body !== null) await read(answer.body, take);
-    } catch {
-      // left, or the server is away: other requests tell
-    }
-    if (own.signal.aborted) return;
-    stream = null;
-    follower.over();
-    if (!ended) timer = setTimeout(() => void connect(), AGAIN_MILLISECONDS);
-  };
   const leave = (): void => {
     clearTimeout(timer);
-    stream?.abort();
-    stream = null;
+    source?.close();
   };
-  const seen = (): void => {
+  const connect = (): void => {
     leave();
-    void connect();
-  };
-  document.addEventListener("visibilitychange", seen);
-  void connect();
-  return () => {
-    document.removeEventListener("visibilitychange", seen);
-    leave();
-  };
-}
-
-/** Reads an event stream to its end. */
-async function read(body: ReadableStream<Uint8Array>, take: (kind: string, data: string) => void): Promise<void> {
-  const reader = body.getReader();
-  const decoder = new TextDecoder();
-  let rest = "";
-  for (;;) {
-    const { done, value } = await reader.read();
-    if (done) return;
-    const blocks = (rest + decoder.decode(value, { stream: true })).split("\n\n");
-    rest = blocks.pop() ?? "";
-    for (const block of blocks) {
-      const fields = new Map(block.split("\n").map((line) => [line.slice(0, line.indexOf(":")), line.slice(line.indexOf(":") + 2)]));
-      const data = fields.get("data");
-      if (data !== undefined) take(fields.get("event") ?? "", data);
+    if (document.hidden) return;
+    const opened = (source = new EventSource(`${ROOT}/campaigns/${encodeURIComponent(campaign)}/events?last_event_id=${newest}`));
+    opened.addEventListener("progress", ({ data }: MessageEvent<string>) => follower.progress(JSON.parse(data) as Moving));
+    for (const kind of KINDS) {
+      opened.addEventListener(kind, ({ data }: MessageEvent<string>) => {
+        const event = JSON.parse(data) as CampaignEvent;
+        newest = event.id ?? newest;
+        follower.event(event);
+      });
     }
-  }
+    opened.onerror = () => {
+      follower.over();
+      if (opened.readyState === EventSource.CLOSED) timer = setTimeout(() => { if (!follower.isOver()) connect(); }, AGAIN_MILLISECONDS); // else the browser tries again
+    };
+  };
+  document.addEventListener("visibilitychange", connect);
+  connect();
+  return () => {
+    document.removeEventListener("visibilitychange", connect);
+    leave();
+  };
 }

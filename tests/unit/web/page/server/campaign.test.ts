@@ -2,16 +2,21 @@ import { afterEach, beforeEach, expect, test, vi } from "vitest";
 import { CampaignState } from "$lib/server/campaign.svelte";
 
 const ended = { id: "a", kind: "evaluation", state: "succeeded", ended_at: "2026-01-01" };
-/** Sends a message of the event stream. */
-let send: (kind: string, data: unknown) => void;
+/** The event stream. */
+let source: Source;
+class Source extends EventTarget {
+  constructor() {
+    super();
+    source = this;
+  }
+  close(): void {}
+}
+const send = (kind: string, data: unknown): boolean => source.dispatchEvent(new MessageEvent(kind, { data: JSON.stringify(data) }));
 
 beforeEach(() => {
   vi.stubGlobal("document", { hidden: false, addEventListener: () => undefined, removeEventListener: () => undefined });
-  vi.stubGlobal("fetch", (address: string) => {
-    if (!address.endsWith("/events")) return Promise.resolve(new Response(JSON.stringify(ended)));
-    const body = new ReadableStream({ start: (stream) => void (send = (kind, data) => stream.enqueue(new TextEncoder().encode(`event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`))) });
-    return Promise.resolve(new Response(body));
-  });
+  vi.stubGlobal("fetch", async () => new Response(JSON.stringify(ended)));
+  vi.stubGlobal("EventSource", Source);
 });
 afterEach(() => void vi.unstubAllGlobals());
 
