@@ -158,9 +158,10 @@ class _Init:
         if place is not None:
             heading = self.reader.pose_of(place).heading
             is_against = not is_turned(pose, heading + pi)
-            if not is_turned(pose, heading) or (place.lane > 0 and is_against):
+            if not is_turned(pose, heading):
                 return place
-        self.notes.add(position.children[0], "not on a lane in its direction: it moves on no lane, unseen by SUMO's models")
+        where = "against the direction of its lane" if is_against else "not on a lane in its direction"
+        self.notes.add(position.children[0], f"{where}: it moves on no lane, unseen by SUMO's models")
         return self.reader.back(place) if place is not None and is_against else straight
 
     def _follow(self, kind: Element, name: str) -> None:

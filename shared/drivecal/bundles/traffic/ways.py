@@ -193,7 +193,7 @@ class WayReader:
         if is_absolute:
             return pose._replace(heading=turn)
         turned = pose._replace(heading=pose.heading + turn)
-        # Files mean both directions of a left lane by both headings along it; across it, they count from the road's direction.
+        # Files count headings along a left lane from the lane's direction, as esmini does, and across it from the road's.
         is_across = is_left and is_turned(turned, pose.heading) and is_turned(turned, pose.heading + pi)
         return turned._replace(heading=turned.heading + pi) if is_across else turned
 

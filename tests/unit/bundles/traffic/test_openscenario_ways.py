@@ -162,6 +162,21 @@ def test_a_vehicle_against_its_lane_comes_towards_the_ego_vehicle() -> None:
     assert (oncoming.s, oncoming.speed) == (1.4, 20.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "heading", "is_against"),
+    [("relative", pi, True), ("relative", 0.0, False), ("absolute", HEADING, True), ("absolute", HEADING + pi, False)],
+)
+def test_on_a_left_lane_the_heading_says_whether_a_vehicle_drives_against_it(
+    kind: str, heading: float, is_against: bool
+) -> None:
+    beside = lane(1, 300).replace("/></Po", f'><Orientation type="{kind}" h="{heading}"/></LanePosition></Po')
+    description = read(CARS, EGO + start("Other", beside, absolute(20)))
+    path = other_of(description).path
+    assert (path is not None) is is_against
+    assert path is None or along_road(*path[-1])[0] > 500.0
+    assert any("against the direction of its lane" in note for note in description.notes) is is_against
+
+
 def test_an_obstacle_stands_relative_to_another_one() -> None:
     beside = '<Position><RelativeObjectPosition entityRef="Other" dx="10" dy="-9"/></Position>'
     description = read(CARS | {"Third": vehicle()}, EGO + OTHER + private("Third", moved(beside)))
