@@ -205,15 +205,18 @@ def _characteristic(block: _Block, kind: str, described: _Described, file: str) 
         codes=tuple(choices.values()),
         line=block.line,
         fault=fault,
-        note=_beyond(raster, stored, lower, upper) if raster else "",
+        note=_beyond(raster, stored, _numbers(block.after("BIT_MASK", 9)[:1]), lower, upper) if raster else "",
         kind=kind,
     )
 
 
-def _beyond(raster: "_Raster", stored: str, lower: float, upper: float) -> str:
-    """Returns a note on limits that whole numbers of type `stored` cannot express; empty if they can."""
+def _beyond(raster: "_Raster", stored: str, mask: list[float], lower: float, upper: float) -> str:
+    """Returns a note on limits that whole numbers of type `stored`, or the bits of a mask in it, cannot express; empty if they can."""
     bits = next(bits for name, bits in (("BYTE", 8), ("WORD", 16), ("LONG", 32), ("INT64", 64)) if stored.endswith(name))
-    ends = (0, 2**bits - 1) if "U" in stored else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    is_signed = "U" not in stored
+    if mask and (masked := int(abs(mask[0])).bit_count()) < bits:  # they are a number without a sign
+        bits, is_signed, stored = masked, False, f"the {masked} bits of its BIT_MASK"
+    ends = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if is_signed else (0, 2**bits - 1)
     least, most = sorted(raster.offset + raster.sign * raster.step * end for end in ends)
     fits = least - raster.step < lower and upper < most + raster.step
     return "" if fits else f"its limits {lower:g} to {upper:g} exceed what {stored} can express, {least:g} to {most:g}"

@@ -152,8 +152,9 @@ def _missing(characteristic: Characteristic) -> str | None:
         return "its values are texts"
     for letter, axis in zip(AXES, characteristic.axes, strict=False):
         if not axis.points:
+            why = "which needs a linear conversion" if axis.kind == "FIX_AXIS" else "which an A2L leaves to the memory"
             named = f"its axis {letter} ({axis.shared or axis.kind})"
-            return f"no file has the points of {named}, which an A2L leaves to the memory: give a DCM or CDFX, too"
+            return f"no file has the points of {named}, {why}: give a DCM or CDFX, too"
         if len(axis.points) < 2 or any(not low < high for low, high in pairwise(axis.points)):
             return f"the points of its axis {letter} do not rise"
     return None

@@ -158,6 +158,8 @@ def test_limits_beyond_the_stored_type_are_noted() -> None:
         content = file(f'gap "" VALUE 0x10 _U16 0 gap {limits}').replace(b"1 UWORD", f"1 {stored}".encode())
         (gap,) = a2l.read(content, "a.a2l").characteristics
         assert (gap.fault, stored not in gap.note) == (None, each in within)
+    masked = read(*(f'gap{upper} "" VALUE 0x10 _U16 0 gap 0 {upper} BIT_MASK 0x0FF0' for upper in (2.55, 2.57)))
+    assert ["8 bits of its BIT_MASK" in each.note for each in masked] == [False, True]
 
 
 def test_a_step_of_1_makes_no_whole_numbers_of_a_finer_raster() -> None:

@@ -153,6 +153,8 @@ def test_what_an_a2l_lacks_is_taken_from_another_file_or_named() -> None:
         (held[3], three),
     ):
         assert faulty_fields(sections_of, joined([[first], [other]]), {}, 0.5)[:1] == [other.name]
+    fixed = sections_of([replace(described[0], axes=(Axis("FIX_AXIS"),)), free], {}, 0.1)
+    assert "(FIX_AXIS), which needs a linear conversion" in fixed.left_out["own"]
     flat = replace(held[0], axes=(replace(std, points=(1.0, 1.0, 4.0)),))
     assert list(sections_of([flat, free], {}, 0.5).left_out) == ["own"]
 
