@@ -13,7 +13,7 @@ import sysconfig
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, pi, sin
+from math import cos, inf, pi, sin
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, fromstring, indent, tostring
 
@@ -38,7 +38,7 @@ from drivecal.roads.opendrive import (
     leaves_open,
     read_opendrive,
 )
-from drivecal.roads.placement import place
+from drivecal.roads.placement import OUTSIDE, place
 
 LEFT_OUT = frozenset({"connectingRamp", "slipLane"})
 """Types of driven lanes that netconvert does not know, and would leave out without a word."""
@@ -240,7 +240,7 @@ def netconvert() -> str:
 
 
 def _complete(file: RoadFile) -> None:
-    """Gives lanes without a width netconvert's, with a note. Raises InvalidInputError for lanes given by borders, or too wide."""
+    """Gives lanes without a width netconvert's, with a note. Raises InvalidInputError for lanes given by borders, or of absurd width."""
     for road in file.roads.values():
         for index, section in enumerate(road.sections):
             for lane in section.lanes.values():
@@ -250,10 +250,11 @@ def _complete(file: RoadFile) -> None:
 def _check_width(file: RoadFile, road: FileRoad, lane: FileLane, length: float) -> None:
     place = f"line {lane.line}, road {shown(road.id, 60)}, lane {lane.id}"
     if lane.widths.records:
-        widths = lane.widths.at(np.linspace(0.0, length, 21)) if lane.kind in DRIVEN else np.zeros(1)
-        if not float(np.max(np.abs(widths))) <= WIDEST:
-            message = f"{place}: the lane is {float(np.max(np.abs(widths))):g} m wide"
-            raise InvalidInputError(Problem(file.name, message, f"give widths of at most {WIDEST:g} m"))
+        widths = lane.widths.at(np.linspace(0.0, length, 21))
+        fits = (widths >= -0.01) & (widths <= (WIDEST if lane.kind in DRIVEN else inf))  # exporters round
+        if not fits.all():
+            message = f"{place}: the lane is {max(widths[~fits].tolist(), key=abs):g} m wide"
+            raise InvalidInputError(Problem(file.name, message, f"give widths from 0 to {WIDEST:g} m"))
     elif lane.id != 0 and "border" in file.ignored:
         message = f"{place}: it has no width, but perhaps a border"
         raise InvalidInputError(Problem(file.name, message, "export the file with widths"))
@@ -275,6 +276,8 @@ def _normalized(content: bytes, file: RoadFile) -> bytes:
             if child.tag not in known or (child.tag == "signal" and not _is_light(child)):
                 element.remove(child)
     document[:] = [child for child in document if child.get("type") != VIRTUAL]
+    for road in document.iter("road"):
+        road.set("junction", road.get("junction") or OUTSIDE)  # netconvert refuses a road without
     for header in document.iter("header"):
         header.set("revMinor", minor if (minor := header.get("revMinor", "")).isdigit() else "4")
     for geometry in document.iter("geometry"):
@@ -353,15 +356,24 @@ def _cause(file: RoadFile, code: int, errors: list[str]) -> Problem:
         message = f"netconvert takes more than {SECONDS} s of processor time, or more than {MEGABYTES} MB"
         return Problem(file.name, message, "cut the part out that is driven, and look for curves of absurd curvature or length")
     for road in file.roads.values():
-        for other in (file.roads.get(link) for link in road.linked):
-            if other is not None and "-1" not in {road.junction, other.junction} and road.junction != other.junction:
+        for kind, link in road.linked:
+            junction = link if kind == "junction" else file.roads[link].junction if link in file.roads else OUTSIDE
+            if OUTSIDE not in {road.junction, junction} and road.junction != junction:
+                there = f"road {shown(link, 60)} of junction" if kind == "road" else "junction"
                 message = (
-                    f"line {road.line}, the road {shown(road.id, 60)} of junction {shown(road.junction, 60)} leads to the road "
-                    f"{shown(other.id, 60)} of junction {shown(other.junction, 60)}, which netconvert cannot convert"
+                    f"line {road.line}, the road {shown(road.id, 60)} of junction {shown(road.junction, 60)} leads to the {there} "
+                    f"{shown(junction, 60)}, which netconvert cannot convert"
                 )
                 return Problem(file.name, message, "put a road between the junctions, or make them one junction")
     if file.lost and "is not known" in said:
         return file.lost
+    if "No edges" in said:
+        roads = file.roads.values()
+        kinds = {lane.kind for road in roads for section in road.sections for lane in section.lanes.values() if lane.id}
+        given = [shown(", ".join(sorted(names)) or "none", 200) for names in (kinds, {road.junction for road in roads})]
+        longest = f"roads up to {max(road.length for road in roads):g} m long and in the junctions {given[1]}"
+        message = f"no road outside of junctions has a length and a lane for cars: lanes of type {given[0]}, {longest}"
+        return Problem(file.name, message, f'give such a road: a lane of type driving, and junction="{OUTSIDE}"')
     named = [road for name, road in file.roads.items() if f"'{name}'" in said or len(file.roads) == 1]
     where = "".join(f"line {road.line}, road {shown(road.id, 60)}: " for road in named[:1])
     remedy = "correct the road there" if named else "export the file again, or leave out roads until it can be converted"

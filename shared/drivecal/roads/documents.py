@@ -147,7 +147,11 @@ def read_elements(
         parser.Parse(content, True)  # expat's own signature
     except expat.ExpatError as error:
         message = f"line {error.lineno}: no well-formed XML: {expat.ErrorString(error.code)}"
-        raise InvalidInputError(Problem(name, message, "save it in the encoding that it declares, or make it again")) from error
+        is_late = expat.ErrorString(error.code) == expat.errors.XML_ERROR_MISPLACED_XML_PI
+        remedy = (
+            "move <?xml ...?> to the beginning" if is_late else "save it in the encoding that it declares, or make it again"
+        )
+        raise InvalidInputError(Problem(name, message, remedy)) from error
     except (LookupError, ValueError) as error:
         if elements:  # a fault of the caller: the encoding is known before the first element
             raise

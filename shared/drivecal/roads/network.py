@@ -58,8 +58,8 @@ _ORIGIN = re.compile(r"(\S+_-?[0-9]{1,3}( \S+_-?[0-9]{1,3})*)?")
 
 CONVERTED = ".net.xml"
 """Ending of a converted network's file, after that of its OpenDRIVE file."""
-CONVERTER = 2
-"""Version of the conversion: networks of others are made again. 2 keeps limits by place, and knows lanes that have no place."""
+CONVERTER = 3
+"""Version of the conversion: networks of others are made again. 3 drives closed roads around once, and refuses negative widths."""
 _SOURCE = re.compile(rb"<!-- converted \(version %d\) from an OpenDRIVE file of SHA-256 ([0-9a-f]{64}) -->" % CONVERTER)
 
 

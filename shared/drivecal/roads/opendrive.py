@@ -203,8 +203,8 @@ class FileRoad:
     offset: Cubics = field(default_factory=Cubics)
     sections: list[LaneSection] = field(default_factory=list)
     limits: list[tuple[float, float | None]] = field(default_factory=list)
-    linked: list[str] = field(default_factory=list)
-    """Ids of the roads before and after it."""
+    linked: list[tuple[str, str]] = field(default_factory=list)
+    """Types (road, junction) and ids of the elements before and after it."""
 
     def reference(self, s: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns x, y and heading of the reference line at each s."""
@@ -404,9 +404,10 @@ class _Reader:
         if name in self.roads:
             raise attributes.fault("another road has the same id", "rename one")
         _check_name(attributes, "id")
-        self.road = FileRoad(
-            name, attributes.number("length", 0.0, LONGEST), attributes.text("junction", "-1"), attributes.line
-        )
+        junction = attributes.text("junction", "") or "-1"
+        if not attributes.text("junction", ""):
+            self.notes.add(f"road {name}", "no junction is given: taken as -1, which is none")
+        self.road = FileRoad(name, attributes.number("length", 0.0, LONGEST), junction, attributes.line)
         self.roads[name] = self.road
 
     def on_planview_geometry(self, attributes: Attributes) -> None:
@@ -456,9 +457,9 @@ class _Reader:
     def _on_link(self, attributes: Attributes) -> None:
         if self.path[-3] == "road":
             _check_name(attributes, "elementId")
-            if attributes.text("elementType") == "road" and self.road is not None:
-                self.named.append((attributes, "elementId"))
-                self.road.linked.append(attributes.text("elementId"))
+            kind = attributes.text("elementType")
+            self._open_road(attributes).linked.append((kind, attributes.text("elementId")))
+            self.named += [(attributes, "elementId")] if kind == "road" else []
         elif self.lane is not None:  # one of the centre lane leads nowhere
             setattr(self.lane, attributes.element, attributes.integer("id", -64, 64))
 
@@ -540,12 +541,21 @@ class _Reader:
                     message = "has lanes that are not numbered 1, 2, ... from the middle"
         if message:
             raise InvalidInputError(Problem(self.name, f"{where} {message}", "export the file again"))
+        if road.sections[0].begin > FLAT:
+            place = f"road {road.id}, s = 0 m to {road.sections[0].begin:g} m"
+            self.notes.add(place, "no lane section: the lanes of the first one are there, too")
         ends = [*(geometry.begin for geometry in road.geometries[1:]), road.length]
         for geometry, end in zip(road.geometries, ends, strict=True):
             if abs(geometry.begin + geometry.length - end) > FLAT * max(1.0, geometry.length):
                 first, last = sorted((geometry.begin + geometry.length, end))
                 place = f"road {road.id}, s = {first:g} m to {last:g} m"
                 self.notes.add(place, "the geometries leave it out, or are there twice; it is not driven")
+            if geometry.kind != "paramPoly3":  # the others are as long as they say
+                continue
+            curve = float(np.hypot(*np.diff(geometry.poses(np.linspace(0.0, geometry.length, 101))[:2])).sum())
+            if abs(curve - geometry.length) > FLAT * max(1.0, geometry.length):
+                place = f"road {road.id}, s = {geometry.begin:g} m, length {geometry.length:g} m"
+                self.notes.add(place, f"its paramPoly3 is {curve:g} m long, and the lanes are as long as that")
 
 
 def _check_name(attributes: Attributes, key: str) -> None:

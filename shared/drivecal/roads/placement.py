@@ -7,7 +7,7 @@ the lane before and the begin of the lane after.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from math import ceil, inf
 from xml.etree.ElementTree import Element, SubElement
 
@@ -121,22 +121,26 @@ class _Placement:
         if road is None:
             return None
         shape = np.array([point.split(",")[:2] for point in lane.get("shape", "").split()], np.float64)
-        begin, end = (float(s) for s in self._stations(road, shape[[0, -1]]))
+        along = float(lengths(shape)[-1]) * (1.0 if index < 0 else -1.0)
+        ends = product(*(self._stations(road, point) for point in shape[[0, -1]]))
+        begin, end = min(ends, key=lambda pair: abs(pair[1] - pair[0] - along))
         section = road.section_at(0.5 * (begin + end))
         return Piece(road, section, index, begin, end) if index in road.sections[section].lanes else None
 
-    def _stations(self, road: FileRoad, points: Floats) -> Floats:
-        """Returns the stations of a road nearest to points (n, 2)."""
+    def _stations(self, road: FileRoad, point: Floats) -> list[float]:
+        """Returns the station of a road nearest to a point (2,): both ends of the road where it closes."""
         if road.id not in self.sampled:
             s = np.linspace(0.0, road.length, max(2, ceil(road.length / STEP) + 1))
             self.sampled[road.id] = s, np.column_stack(road.reference(s)[:2])
         s, places = self.sampled[road.id]
-        best = np.array([s[int(np.argmin(np.hypot(*(places - point).T)))] for point in points])
+        row = int(np.argmin(np.hypot(*(places - point).T)))
+        closes = np.hypot(*(places[0] - places[-1])) < STEP and min(row, len(s) - 1 - row) < 2
+        best = s[[0, -1] if closes else [row]]
         for _ in range(5):
             x, y, heading = road.reference(best)
-            ahead = (points[:, 0] - x) * np.cos(heading) + (points[:, 1] - y) * np.sin(heading)
+            ahead = (point[0] - x) * np.cos(heading) + (point[1] - y) * np.sin(heading)
             best = np.clip(best + np.clip(ahead, -STEP, STEP), 0.0, road.length)
-        return best
+        return [float(each) for each in best]
 
     def _leave(self, lane: Element, place: str, cause: str) -> None:
         """Marks a lane that stays where netconvert has put it, so that no route may use it."""
@@ -228,7 +232,8 @@ def _origin(lane: Element, file: RoadFile) -> tuple[FileRoad | None, int]:
 def _between(before: Piece, after: Piece, road: FileRoad | None, index: int) -> Iterator[Piece]:
     """Yields the parts of the file between two lanes: the rest of the first, the connecting road, the begin of the second."""
     if before.road is after.road and road is None:
-        if before.section == after.section:
+        ahead = after.begin - before.end if before.lane < 0 else before.end - after.begin
+        if before.section == after.section and ahead > -STEP:  # else the road is closed, and its end lies between
             yield Piece(before.road, before.section, before.lane, before.end, after.begin)
         else:
             first = before.road.end_of(before.section) if before.lane < 0 else before.road.sections[before.section].begin

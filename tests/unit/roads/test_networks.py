@@ -118,6 +118,11 @@ def test_strange_encodings_are_refused_or_read(encoding: str) -> None:
         read_network(text.encode(), NAME)
 
 
+def test_a_declaration_that_does_not_stand_first_is_to_be_moved() -> None:
+    (problem,) = faults_of(read_network, b"<!-- by a program -->\n" + entrance(), NAME)
+    assert problem.remedy == "move <?xml ...?> to the beginning"
+
+
 def test_faults_of_handlers_are_no_faults_of_the_encoding() -> None:
     def start(attributes: documents.Attributes) -> None:
         raise KeyError(attributes.element)

@@ -20,6 +20,8 @@ from drivecal.roads.network import read_network
 NAME = "road.xodr"
 LINE = '<geometry s="0" x="0" y="0" hdg="0" length="100"><line/></geometry>'
 
+POLYNOMIALS = 'pRange="normalized" aU="0" bU="80" cU="0" dU="0" aV="0" bV="0" cV="0" dV="0"'
+
 
 def lane(index: int, width: float = 3.5, kind: str = "driving", more: str = "") -> str:
     return f'<lane id="{index}" type="{kind}" {more}><width sOffset="0" a="{width}" b="0" c="0" d="0"/></lane>'
@@ -177,12 +179,39 @@ def test_a_junction_that_leads_to_a_junction_is_refused_with_both() -> None:
     problem = refused(document(*parts))
     assert all(f" {name} " in f"{problem.message.replace(',', ' ')} " for name in ("11", "21", "A", "B"))
     assert "line 9" in problem.message
+    parts[2] = parts[2].replace(link.format("successor", "21", "start"), '<successor elementType="junction" elementId="B"/>')
+    assert "line 9, the road 11 of junction A leads to the junction B" in refused(document(*parts)).message
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "part"),
+    [
+        ('type="driving"', 'type="shoulder"', "lanes of type shoulder"),
+        ('junction="-1"', 'junction="A"', "in the junctions A"),
+        ('length="100"', 'length="0"', "up to 0 m long"),
+        ('a="3.5"', 'a="-3.5"', "line 5, road 1, lane -1: the lane is -3.5 m wide"),
+    ],
+)
+def test_roads_that_cannot_be_driven_are_refused_with_the_cause(old: str, new: str, part: str) -> None:
+    assert part in refused(document(road().replace(old, new))).message
 
 
 def test_a_geometry_that_ends_before_its_road_is_noted() -> None:
     result = converted(document(road(geometry=LINE.replace("100", "60"))), NAME)
     assert "60 m to 100 m" in noted(result, "geometries")
     assert not [note for note in converted(document(road()), NAME).notes if "geometries" in note]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "note"),
+    [
+        (' junction="-1"', "", "road 1: no junction is given: taken as -1"),
+        ('laneSection s="0"', 'laneSection s="40"', "road 1, s = 0 m to 40 m: no lane section"),
+        ("<line/>", f"<paramPoly3 {POLYNOMIALS}/>", "road 1, s = 0 m, length 100 m: its paramPoly3 is 80 m long"),
+    ],
+)
+def test_what_a_road_leaves_open_or_says_otherwise_is_noted(old: str, new: str, note: str) -> None:
+    assert noted(converted(document(road().replace(old, new)), NAME), note)
 
 
 def test_a_lane_that_is_driven_against_its_side_is_closed_and_noted() -> None:
