@@ -1,7 +1,7 @@
 """Small XML documents as trees that record which parts were read: the rest is listed as ignored."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from drivecal.bundles.traffic.expressions import ExpressionError, evaluated
@@ -208,12 +208,20 @@ def substituted(element: Element, text: str) -> str:
     return _value(element, match[1])
 
 
+def named_once(elements: Iterable[tuple[str, Element]]) -> dict[str, Element]:
+    """Returns elements by their names. Raises InvalidInputError if two have the same name."""
+    named: dict[str, Element] = {}
+    for name, element in elements:
+        if (other := named.setdefault(name, element)) is not element:
+            raise element.fault(f"the name {shown(name)} stands in line {other.line}, too", "rename it, or leave it out")
+    return named
+
+
 def declare(owner: Element, given: Mapping[str, object]) -> None:
     """Takes the declarations inside of an element, with other values for some. Raises InvalidInputError with fields `parameters.name`."""
     section = owner.optional("ParameterDeclarations")
     declarations = section.every("ParameterDeclaration") if section is not None else []
-    for declaration in declarations:
-        name = declaration.parameter("name")
+    for name, declaration in named_once((each.parameter("name"), each) for each in declarations).items():
         owner.parameters[name] = _text(given[name]) if name in given else declaration.text("value")
     known = list(owner.parameters)
     for name in given:

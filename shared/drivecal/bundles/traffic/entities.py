@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from posixpath import dirname, join, normpath
 
-from drivecal.bundles.traffic.elements import MOST_ELEMENTS, Element, Notes, declare, read_tree, substituted
+from drivecal.bundles.traffic.elements import MOST_ELEMENTS, Element, Notes, declare, named_once, read_tree, substituted
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError
@@ -105,6 +105,8 @@ def _entity(name: str, described: Element, element: Element, notes: Notes) -> En
     box = described.only("BoundingBox")
     size, centre = box.only("Dimensions"), box.only("Center")
     length, width = (size.number(key, 0.05, LONGEST) for key in ("length", "width"))
+    if abs(centre.number("y", -LONGEST, LONGEST, 0.0)) > 1e-3:
+        notes.add(centre, f"y of {shown(name)} is ignored: the box is driven with its middle on the entity's place")
     return Entity(name, kind, length, width, centre.number("x", -LONGEST, LONGEST), element)
 
 
@@ -152,8 +154,7 @@ def _catalog(
         ):
             content = files.catalog(file, name)
             if content is not None:
-                described = reversed(content.every(*tags))  # the first of a name stays
-                return file, {element.text("name"): element for element in described}
+                return file, named_once((element.text("name"), element) for element in content.every(*tags))
     place = f" in {', '.join(shown(folder, 100) for folder in folders)}" if folders else ""
     message = f"the bundle has no catalog {shown(name)}{place}"
     raise reference.fault(message, f"copy its .xosc file there, or write a <{tags[0]}> into the file")

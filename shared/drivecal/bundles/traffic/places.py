@@ -406,7 +406,7 @@ class Map:
     def _beside(self, there: FilePlace, lanes: int, ds: float, offset: float, element: Element) -> FilePlace:
         """Returns the place `ds` metres ahead of another, on the lane whose number is larger by `lanes`."""
         road = None if there.road is None or self.file is None else self.file.roads[there.road]
-        ahead = -1.0 if (there.lane or self._road_lane(there)) > 0 else 1.0
+        ahead = -1.0 if (there.lane or self.road_lane(there)) > 0 else 1.0
         if road is not None and 0.0 <= there.s + ahead * ds <= road.length:
             lane = there.lane + lanes
             if lanes and (lane == 0 or (lane > 0) != (there.lane > 0)):
@@ -419,7 +419,7 @@ class Map:
             raise element.fault(f"there is no lane {lanes:+d} beside that of the other vehicle", "give another dLane")
         return replace(reached, index=index, offset=round(ahead * offset, DECIMALS))
 
-    def _road_lane(self, place: FilePlace) -> int:
+    def road_lane(self, place: FilePlace) -> int:
         """Returns the number of the lane of the file on which a place is, 0 if the network was not made of one."""
         origins = (self.network.edges[place.edge].lanes[place.index].origin or "").split() if self._source is not None else []
         return int(origins[0].rpartition("_")[2]) if origins else 0

@@ -192,6 +192,8 @@ class _Reader:
         if not self._times:
             return self._root.fault("it has no vehicle, trip or flow", "give one, or leave `routes` out")
         first, last = min(self._times), max(self._times)
+        if self._first <= first < self._end:
+            return self._root.fault("its flows end before a vehicle departs", "give them an `end` after the run's begin")
         times = f"from {first:.12g} to {last:.12g} s" if last > first else f"at {first:.12g} s"
         message = (
             f"none of its {len(self._times):,} vehicles, trips and flows departs in the run, which is from {self._first:.12g} to "
@@ -294,7 +296,9 @@ class _Reader:
             raise element.fault(f"the run has more than {MOST_READ:,} elements", "leave out what no vehicle of it needs")
         known = KNOWN[element.element]
         for key in element.values:
-            if key not in known and key not in WITHOUT_EFFECT:
+            if key in {"arrival", "fromTaz", "toTaz"} and "departPos" in known:  # duarouter and cutRoutes write them
+                self._notes.add(element, f"ignored: {key}, which has no effect on a given way")
+            elif key not in known and key not in WITHOUT_EFFECT:
                 remedy = _REMEDIES.get((element.element, key)) or nearest(key, sorted(known))
                 raise element.fault(f"the attribute {shown(key)} is not supported", remedy)
             if key in WORDS:

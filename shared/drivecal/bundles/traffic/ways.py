@@ -10,6 +10,7 @@ import numpy as np
 from drivecal.bundles.traffic.elements import Element, declare
 from drivecal.bundles.traffic.entities import Catalogs
 from drivecal.bundles.traffic.places import FilePlace, Map, links, projected
+from drivecal.domain.errors import InvalidInputError, attempted
 from drivecal.domain.roads import Floats
 from drivecal.roads.lines import lengths
 
@@ -203,9 +204,13 @@ class WayReader:
         at = kind.only("InRoutePosition").only("FromRoadCoordinates", "FromLaneCoordinates")
         along = at.number("pathS", 0.0, 1e6)
         if at.element == "FromRoadCoordinates":
-            at.number("t", -1e3, 1e3)  # the lane of the first waypoint counts
-            return way.pose(along)
-        at.integer("laneId", -64, 64)
+            return way.pose(along)  # the lane of the first waypoint counts, and `t` is noted as ignored
+        pose, lane = way.pose(along), at.integer("laneId", -64, 64)
+        there = attempted(self._roads.ground.place, pose.x, pose.y, pose.heading, way.edges, at)
+        own = 0 if isinstance(there, InvalidInputError) else self._roads.road_lane(there)  # none in a junction
+        if own and lane != own:
+            message = f"laneId is {lane}, and the way of the waypoints is on lane {own} there"
+            raise at.fault(message, "give waypoints on the lane that is meant")
         return way.pose(along, at.number("laneOffset", -50.0, 50.0, 0.0))
 
     def pose_of(self, place: FilePlace) -> Pose:

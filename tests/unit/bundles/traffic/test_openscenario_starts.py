@@ -136,6 +136,15 @@ def test_a_vehicle_of_a_catalog_of_the_bundle_has_its_size() -> None:
         content.replace(b'entryName="long"', b'entryName="short"'), files={"scenarios/catalogs/c.xosc": catalog.encode()}
     )
     assert "no catalog" in refused(content)
+    twice = catalog.replace("</Catalog>", f"\n{vehicle().replace('car', 'long', 1)}</Catalog>").encode()
+    assert "line 2, <Vehicle>: the name long stands in line 1, too" in refused(
+        content, files={"scenarios/catalogs/c.xosc": twice}
+    )
+
+
+def test_a_box_beside_its_place_is_noted_as_driven_on_it() -> None:
+    content = scenario(CARS | {"Other": vehicle().replace('y="0"', 'y="0.5"')}, EGO + OTHER)
+    assert [note for note in of_file(content).notes if "<Center>: y of Other is ignored" in note]
 
 
 def test_a_reference_gives_parameters_of_a_catalog_s_entry_other_values() -> None:
@@ -341,6 +350,7 @@ def test_values_outside_of_a_parameter_s_constraints_are_refused() -> None:
     )
     content = scenario(CARS, EGO + OTHER, declarations=bound)
     assert of_file(content, parameters={"x": 8}).scenario
+    assert "the name limit stands in line 4, too" in refused(content.replace(b'name="x"', b'name="limit"'))
     assert faulty_fields(of_file, content, parameters={"x": 8.5}) == ["parameters.x"]
 
 

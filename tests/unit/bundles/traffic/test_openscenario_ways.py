@@ -282,6 +282,19 @@ def test_a_rider_follows_a_route_beside_the_lane_s_centre() -> None:
     assert meet.at == pytest.approx(300.0 + 1.4, abs=0.2)
 
 
+def test_a_place_on_a_route_has_the_lane_of_its_waypoints_or_is_refused() -> None:
+    waypoints = "".join(f'<Waypoint routeStrategy="shortest">{lane(-3, s)}</Waypoint>' for s in (100, 1900))
+    route = f'<RouteRef><Route name="r" closed="false">{waypoints}</Route></RouteRef><InRoutePosition>{{}}</InRoutePosition>'
+    on_lane, on_road = (
+        scenario(
+            CARS, EGO + start("Other", f"<Position><RoutePosition>{route.format(at)}</RoutePosition></Position>", absolute(9))
+        )
+        for at in ('<FromLaneCoordinates pathS="150" laneId="-2"/>', '<FromRoadCoordinates pathS="150" t="-5"/>')
+    )
+    assert "laneId is -2, and the way of the waypoints is on lane -3 there" in refused(on_lane)
+    assert any("<FromRoadCoordinates>: ignored: t" in note for note in of_file(on_road).notes)
+
+
 def test_a_maneuver_of_a_catalog_is_driven_with_its_parameters() -> None:
     brake = f"<LongitudinalAction>{change_of_speed(absolute('$to'), 'linear', 'rate', 3)}</LongitudinalAction>"
     variable = '<GlobalAction><VariableAction variableRef="v"><SetAction value="true"/></VariableAction></GlobalAction>'

@@ -84,6 +84,8 @@ def test_sumo_reads_a_file_as_it_is_without_what_has_no_effect() -> None:
     assert (routes.starting, set(routes.vehicles)) == (("a.1",), {"a.1", "joins", "late"})
     assert [note for note in routes.notes if "line 12, <person>" in note]
     assert [note for note in routes.notes if "line 11, <vehicle>" in note]
+    planned = traffic(ROUTES.replace(b'depart="4.5"', b'depart="4.5" arrival="80" fromTaz="a"')).notes
+    assert [("arrival" in note, "fromTaz" in note) for note in planned if "given way" in note] == [(True, False), (False, True)]
 
 
 @pytest.mark.parametrize(
@@ -286,6 +288,7 @@ def test_sumo_s_own_words_get_the_line_of_whom_they_name() -> None:
         ('<flow id="f" route="r" begin="7:00:00" end="8:00:00" vehsPerHour="900"/>', {}, ["at 25200 s"]),
         (FLOW.format('begin="0" end="100" vehsPerHour="900"'), {"begin": 300, "warm_up": 60}, ["from 240 to 320 s"]),
         (day(10), {"begin": 25_200}, ["at 10 s"]),
+        (FLOW.format('begin="0" end="0" vehsPerHour="900"'), {}, ["its flows end before a vehicle departs"]),
         ('<vType id="t"/>', {}, []),
     ],
 )
