@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import ceil
 
-from drivecal.contracts.results import Accounting, BalanceItem, BreakEven, MapCost, ScenarioAccount, SensitivityCost
+from drivecal.contracts.results import Accounting, BalanceItem, MapCost, ScenarioAccount, SensitivityCost
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
@@ -87,7 +87,7 @@ def account(
         BalanceItem(name="predictor", label="predictor", seconds=-sum(row.predictor_seconds for row in rows)),
         BalanceItem(name="dispatcher", label="dispatcher", seconds=-dispatcher),
     ]
-    requested = sum(row.requested for row in rows)
+    requested, saved = sum(row.requested for row in rows), savings[Outcome.REUSED]
     accounting = Accounting(
         clock="wall" if waits else "cpu",
         cpu_seconds=cpu_seconds,
@@ -98,7 +98,7 @@ def account(
         runs=runs_for or {},
         saved_seconds=sum(savings.values()),
         net_seconds=sum(item.seconds for item in balance),
-        break_even=break_even(used.seconds, savings[Outcome.REUSED], requested) if used is not None and requested else None,
+        break_even=ceil(used.seconds / saved * requested - ROUNDING) if used is not None and used.seconds and saved else None,
         balance=[item for item in balance if item.seconds],
         sentence="",
     )
@@ -119,17 +119,6 @@ def sensitivity_cost(costs: Iterable[OutcomeCosts]) -> SensitivityCost:
         **{outcome.value: number for outcome, number in cells.items()},
         seconds=sum(cost.seconds for cost in stage),
     )
-
-
-def break_even(map_seconds: float, reused_saved_seconds: float, requested: int) -> BreakEven | None:
-    """Break-even of a map that cost `map_seconds`, if `requested` cells saved `reused_saved_seconds`; None if it cost nothing."""
-    if not map_seconds:
-        return None
-    if not reused_saved_seconds:
-        return BreakEven(requested_cells=None, campaigns=None, reruns=None)
-    campaigns = map_seconds / reused_saved_seconds
-    whole = max(1, ceil(campaigns - ROUNDING))
-    return BreakEven(requested_cells=ceil(campaigns * requested - ROUNDING), campaigns=whole, reruns=whole - 1)
 
 
 def _scenario(
@@ -179,18 +168,15 @@ def _remarks(accounting: Accounting, lost: int) -> list[str]:
         runs = " + ".join(f"{count:,} {name}" for name, count in accounting.runs.items())
         most = sum(accounting.runs.values())
         remarks.append(f"The simulator ran {f'{most - lost:,} to ' * (lost > 0)}{most:,} times: {runs}.")
-    used, even = accounting.map, accounting.break_even
+    used = accounting.map
     if used is not None and not used.paid_here:
         cost = f" ({used.runs:,} runs, {used.seconds:,.1f} s)" if used.runs else ""
         paid = "is expert knowledge" if used.made_by is None else f"was paid by campaign {used.made_by}"
         remarks.append(f"The influence map {paid}{cost}.")
-    if even is not None and even.requested_cells is None:
+    if accounting.break_even is not None:
+        remarks.append(f"The influence map pays from {accounting.break_even:,} requested cells on.")
+    elif used is not None and used.seconds and any(row.requested for row in accounting.scenarios):
         remarks.append("Reuse saved nothing: at this rate the influence map never pays.")
-    elif even is not None:
-        campaigns = (
-            "" if even.campaigns is None else f", that is from {even.campaigns:,} such campaign{'s' * (even.campaigns != 1)} on"
-        )
-        remarks.append(f"The influence map pays from {even.requested_cells:,} requested cells on{campaigns}.")
     return remarks
 
 

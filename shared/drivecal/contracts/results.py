@@ -42,18 +42,6 @@ class ScenarioAccount(OutcomeCounts):
     predictor_seconds: float = 0.0
 
 
-class BreakEven(Answer):
-    """Break-even of a map: its cost against the savings of reuse at the share observed in this campaign.
-
-    `requested_cells` is the number of cells at which the map has paid. `campaigns` is the number of such campaigns on the same map, the
-    first included; `reruns` the same without the first. All are null if nothing was reused: the map then never pays.
-    """
-
-    requested_cells: int | None
-    campaigns: int | None
-    reruns: int | None
-
-
 class BalanceItem(Answer):
     """An addend of the net, in seconds: positive if saved, negative if spent. Its `name` is an outcome of cells, or the part of a campaign
     that cost time; `label` is the same in words."""
@@ -70,7 +58,8 @@ class Accounting(Answer):
     `net_seconds` is the sum of the `balance`: an estimate of the CPU time of the same campaign without reuse, less its own.
 
     `clock` is `wall` if runs take more than twice their CPU time, else `cpu`. With `wall` all seconds of simulations are wall-clock
-    time of the workers. The runs that answered cells took `cpu_seconds` and `wall_seconds`.
+    time of the workers. The runs that answered cells took `cpu_seconds` and `wall_seconds`. From `break_even` requested cells on the map
+    pays; null if it cost or saved nothing.
     """
 
     clock: Literal["cpu", "wall"] = "cpu"
@@ -84,7 +73,7 @@ class Accounting(Answer):
     are `further`: a check that equal runs are equal, or after a breakdown or a lost worker."""
     saved_seconds: float
     net_seconds: float
-    break_even: BreakEven | None
+    break_even: int | None
     """Null without a map, or with a map without a known cost."""
     balance: list[BalanceItem] = Field(default_factory=list)
     """The addends of `net_seconds` that are not 0."""

@@ -5,8 +5,7 @@ import re
 import pytest
 from tests.support.values import present
 
-from drivecal.analysis.savings import MapOrigin, account, break_even
-from drivecal.contracts.results import BreakEven
+from drivecal.analysis.savings import MapOrigin, account
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import Outcome, OutcomeCosts
 
@@ -73,7 +72,7 @@ def test_the_account_of_a_campaign_with_its_own_map() -> None:
     assert result.net_seconds == pytest.approx(4.9 - 10.0)
     assert result.map is not None
     assert (result.map.made_by, result.map.paid_here, result.map.runs, result.map.seconds) == ("c", True, 600, 10.0)
-    assert result.break_even == BreakEven(requested_cells=2223, campaigns=3, reruns=2)
+    assert result.break_even == 2223
     assert "44.5 % of 1,000" in result.sentence
     assert "net loss of 5.1 s" in result.sentence
 
@@ -113,7 +112,7 @@ def test_a_rerun_pays_nothing_for_the_map_and_counts_what_answered_it() -> None:
     assert result.scenarios[0].mean_seconds == pytest.approx(0.02)
     assert result.saved_seconds == result.net_seconds == pytest.approx(8.0)
     assert (present(result.map).paid_here, present(result.map).seconds) == (False, 10.0)
-    assert result.break_even == BreakEven(requested_cells=2000, campaigns=5, reruns=4)
+    assert result.break_even == 2000
 
 
 def test_a_map_of_a_user_costs_nothing_and_has_no_break_even() -> None:
@@ -127,7 +126,11 @@ def test_a_campaign_without_answers_saves_nothing_yet() -> None:
 
 
 def test_a_map_that_saves_nothing_never_pays() -> None:
-    assert break_even(1.0, 0.0, 1000) == BreakEven(requested_cells=None, campaigns=None, reruns=None)
+    result = account(
+        "c", ["S1"], [_costs("S1", Outcome.REPEATED, 300, 0.0, run_seconds=6.0)], MapOrigin("m", "first", ANALYSIS)
+    )
+    assert result.break_even is None
+    assert any("never" in remark for remark in result.remarks)
 
 
 def _waiting(stage: StageName, outcome: Outcome, cells: int, each: float) -> OutcomeCosts:

@@ -3,7 +3,6 @@
 import gzip
 import html
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -51,13 +50,6 @@ MANUAL_GUARD = GUARD | {"Content-Security-Policy": POLICY.replace("style-src 'se
 """The search of the documentation's theme brings its styles by script. Scripts have to be files there as well."""
 FOREVER = "public, max-age=31536000, immutable"
 """`Cache-Control` of files whose names change with their content."""
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    content: bytes
-    compressed: bytes
-    tag: str
 
 
 @router.get("/")
@@ -108,23 +100,22 @@ def _holds(folder: Path, name: str) -> bool:
 
 
 def _answer(request: Request, path: Path, caching: str, guard: Mapping[str, str] = GUARD) -> Response:
-    asset = _read(path, path.stat().st_mtime_ns)
-    headers = {**guard, "Cache-Control": caching, "ETag": asset.tag, "Vary": "Accept-Encoding"}
-    if matches(request.headers.get("if-none-match"), asset.tag):
+    content, compressed, tag = _read(path, path.stat().st_mtime_ns)
+    headers = {**guard, "Cache-Control": caching, "ETag": tag, "Vary": "Accept-Encoding"}
+    if matches(request.headers.get("if-none-match"), tag):
         return Response(status_code=304, headers=headers)
-    content = asset.content
-    if takes_gzip(request.headers.get("accept-encoding", "")) and len(asset.compressed) < len(content):
-        content, headers["Content-Encoding"] = asset.compressed, "gzip"
+    if takes_gzip(request.headers.get("accept-encoding", "")) and len(compressed) < len(content):
+        content, headers["Content-Encoding"] = compressed, "gzip"
     headers["Content-Type"] = TYPES[path.suffix]
     return Response(content, headers=headers)
 
 
 @lru_cache(maxsize=500)
-def _read(path: Path, modified: int) -> _File:
-    """Reads a file. `modified`: distinguishes the files of a new build."""
+def _read(path: Path, modified: int) -> tuple[bytes, bytes, str]:
+    """Returns the content of a file, the same compressed, and its tag. `modified`: distinguishes the files of a new build."""
     del modified
     content = path.read_bytes()
-    return _File(content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"')
+    return content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"'
 
 
 def _instead(folder: Path) -> Response:
