@@ -4,6 +4,7 @@ A value of a cell is the campaign's score, another score (a formula over measure
 data, so that its results can be read without its problem.
 """
 
+from bisect import bisect_left
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -191,10 +192,12 @@ class Bound(Goal):
         values = self.values_in(run[scenario] for run in runs for scenario in self.shares if scenario in run)
         return int(np.count_nonzero(self.violations(values))), len(values)
 
-    def is_shown(self, cells: Iterable[Cells], seeds: int) -> bool:
-        """Returns whether its rate is kept if no run under further `seeds` is beyond the limit; `cells` as in `beyond`."""
-        beyond, runs = self.beyond(cells)
-        return rate_bounds(beyond, runs + seeds * len(self.shares), self.confidence)[1] <= (self.rate or 0.0)
+    def seeds_to_show(self, cells: Iterable[Cells], most: int) -> int:
+        """Returns the further seeds that show its rate if no run under them is beyond the limit, `most` + 1 if more."""
+        (beyond, runs), rate = self.beyond(cells), self.rate or 0.0
+        return bisect_left(
+            range(most + 1), True, key=lambda n: rate_bounds(beyond, runs + n * len(self.shares), self.confidence)[1] <= rate
+        )
 
     def excess(self, beyond: int, runs: int, least: float, most: float) -> float:
         """Returns the violation of the rate if the share of the runs `beyond` has these bounds: 0 if it is surely kept. If runs do not

@@ -3,7 +3,6 @@
 With several objectives or constraints, sets are ranked by the first objective, feasible ones first, and the others make a front.
 """
 
-from bisect import bisect_left
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -339,8 +338,7 @@ class Ranking:
             return None if judgement.broken else 0
         left = 1_000_000 if ever else sum(seed not in seeds_run for seed in range(1, self._choosing + 1))
         counted = self._judge.counted(self._runs[parameter_set])
-        rates = [bound for bound in self._goals.bounds if bound.rate is not None]
-        shown = bisect_left(range(left + 1), True, key=lambda seeds: all(bound.is_shown(counted, seeds) for bound in rates))
+        shown = max(bound.seeds_to_show(counted, left) for bound in self._goals.bounds if bound.rate is not None)
         return shown if shown <= left else None
 
     def statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
