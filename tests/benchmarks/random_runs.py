@@ -203,19 +203,17 @@ class RandomRun(Run):
                 for scenario in scenarios:
                     self.cell(AskedCell(sets[number], scenario, seed))
 
+    def _truth(self, number: int) -> float:
+        cells = [AskedCell(list(self.sets)[number], place) for place in range(len(self.problem.scenarios))]
+        return self.problem.objective([self.problem.answer(cell).values[0] for cell in cells])
+
     def claims(self) -> tuple[float, bool, bool]:
-        """Returns the probability claimed that no other set is better than the best one, whether none is, and whether the truly best one is
-        listed as perhaps as good."""
-        order, sets = self.ranking.best_first(), list(self.sets)
-        truths = [
-            self.problem.objective(
-                [self.problem.answer(AskedCell(sets[each.parameter_set], place)).values[0] for place in range(len(each.scores))]
-            )
-            for each in order
-        ]
+        """Returns the claimed probability of the best set, whether none is better, and whether the truly best one is listed as good."""
+        order = self.ranking.best_first()
+        truths = [self._truth(each.parameter_set) for each in order]
         as_good = [truth for truth, each in zip(truths, order, strict=True) if each is order[0] or each.is_close]
-        claimed = order[0].probability_best
-        return np.nan if claimed is None else claimed, truths[0] >= max(truths) - 1e-9, max(as_good) >= max(truths) - 1e-9
+        claimed = float(np.array(order[0].probability_best, dtype=np.float64))  # NaN for None
+        return claimed, truths[0] >= max(truths) - 1e-9, max(as_good) >= max(truths) - 1e-9
 
     def result(self) -> tuple[float, float, list[bool]]:
         """Returns the true objective of the best set, the reported one, higher is better, and whether intervals hold the truth: of the
@@ -226,7 +224,7 @@ class RandomRun(Run):
         sign, scenarios = self.problem.scale.sign, range(len(self.problem.scenarios))
         cells = [AskedCell(list(self.sets)[best.parameter_set], scenario) for scenario in scenarios]
         if self._noise:
-            truth = self.problem.objective([self.problem.answer(cell).values[0] for cell in cells])
+            truth = self._truth(best.parameter_set)
             return truth, sign * best.objective, [] if best.lower is None else [best.lower <= sign * truth <= (best.upper or 0)]
         fresh = [[self._scored(self._sampled(replace(cell, replicate=seed))) for cell in cells] for seed in FRESH]
         means, last = np.array([[cell.score for cell in run] for run in fresh]).mean(axis=1), choosing(USUAL.most)

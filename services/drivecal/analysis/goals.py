@@ -425,12 +425,13 @@ def weighted(values: Floats, shares: Iterable[float]) -> Floats:
     return sum((values * np.array(list(shares))).T, np.zeros(len(values)))
 
 
-def over_seeds(cells: Sequence[CellScore]) -> CellScore:
-    """Returns the mean of the answers of a cell under several seeds; seeds without a result do not count."""
+def over_seeds(cells: Sequence[CellScore], *, partial: bool = False) -> CellScore:
+    """Returns the mean of the answers of a cell under several seeds; seeds without a result do not count. A value that is missing under one
+    of them has no mean, `partial`: the mean of the others."""
     known = [cell for cell in cells if cell.score is not None and cell.rating is not None]
     if len(known) < 2:
         return known[0] if known else cells[0]
-    keys = dict.fromkeys(key for cell in known for key in cell.values)
+    keys = dict.fromkeys(key for cell in known for key in cell.values if partial or all(key in each.values for each in known))
     return replace(
         known[0],
         score=fmean([cell.score for cell in known if cell.score is not None]),

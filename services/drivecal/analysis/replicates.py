@@ -26,7 +26,7 @@ FEWEST_REPORTING = 3
 """Runs that report a best set, if the budget does not suffice for more."""
 FIRST = 4
 """Sets that get a second run before the noise is known."""
-RATIOS = np.logspace(-6, 1, 22)
+RATIOS = np.array([*np.logspace(-14, -6, 9), *np.logspace(-5, 1, 19)])
 """Variances of a run, in variances of the means of sets; the most probable one is taken."""
 DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
@@ -299,6 +299,8 @@ def _effects(samples: Floats) -> tuple[Floats, float]:
     leave two thirds of the noise. So sets are draws from a normal distribution around the median, and the restricted likelihood (Patterson
     and Thompson 1971) tells which part of a first run is luck. Sets `MOST_BAD_LUCK` below the median are bad, not unlucky.
     """
+    from scipy.linalg import cho_factor, cho_solve
+
     run = np.isfinite(samples)
     several = run.sum(axis=1) > 1
     rows, effects = run[several].astype(np.float64), np.zeros(samples.shape[1])
@@ -311,19 +313,22 @@ def _effects(samples: Floats) -> tuple[Floats, float]:
     alone, good = centred[is_better & ~several, first], np.ones(len(rows), dtype=np.bool_)
     if is_better.any():
         good = values[:, first] > -MOST_BAD_LUCK * (centred[is_better, first] ** 2).mean() ** 0.5
+    values[~good] -= rows[~good] * (values[~good].sum(axis=1) / counts[~good])[:, np.newaxis]
     free = np.flatnonzero(used & (np.arange(len(used)) != first))
     part, freedom = rows[:, free], counts.sum() - (~good).sum() - len(free) + len(alone)
     most, noise = -np.inf, 0.0
     for ratio in RATIOS:
-        weights = 1 / (counts + np.where(good, ratio, 0.0))
-        matrix = np.diag(part.sum(axis=0) + 1e-9) - part.T @ (part * weights[:, np.newaxis])
-        added = np.zeros_like(effects)
-        added[free] = np.linalg.solve(matrix, values[:, free].sum(axis=0) - part.T @ (weights * values.sum(axis=1)))
+        drawn = np.where(good, ratio, 0.0)
+        weights, added = 1 / (counts + drawn), np.zeros_like(effects)
+        factor = cho_factor(np.diag(part.sum(axis=0) + 1e-9) - part.T @ (part * weights[:, np.newaxis]), lower=True)
+        added[free] = cho_solve(factor, values[:, free].sum(axis=0) - part.T @ (weights * values.sum(axis=1)))
         left = values - rows * added
-        squares = (left**2).sum() - (weights * left.sum(axis=1) ** 2).sum() + (alone**2).sum() * ratio / (1 + ratio)
+        means = left.sum(axis=1) / counts
+        within = ((left - rows * means[:, np.newaxis]) ** 2).sum() + (means**2 * counts * weights * drawn).sum()
+        squares = within + (alone**2).sum() * ratio / (1 + ratio)
         spread = max(float(squares / freedom), 1e-300)
         terms = freedom * np.log(spread), np.log1p(counts[good] / ratio).sum(), len(alone) * np.log1p(1 / ratio)
-        likelihood = -sum(terms) - np.linalg.slogdet(matrix)[1]
+        likelihood = -sum(terms) - 2 * np.log(np.diag(factor[0])).sum()
         if likelihood > most:
             most, noise, effects = likelihood, spread, added
     return np.where(used, effects - effects[used].mean(), 0.0), noise

@@ -79,7 +79,7 @@ def account(
         for name in scenarios
     ]
     sensitivity = sensitivity_cost(costs)
-    used = None if origin is None else _map_cost(origin, campaign)
+    used = None if origin is None else _map_cost(origin)
     savings = {outcome.value: sum(row.saved[outcome] for row in rows) for outcome in SAVING}
     balance = [
         *(BalanceItem(name=name, label=f"{name} cells", seconds=seconds) for name, seconds in savings.items()),
@@ -102,7 +102,7 @@ def account(
         balance=[item for item in balance if item.seconds],
         sentence="",
     )
-    return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting, lost)})
+    return accounting.model_copy(update={"sentence": _sentence(accounting), "remarks": _remarks(accounting, lost, campaign)})
 
 
 def _by_the_wall(costs: Iterable[OutcomeCosts]) -> list[OutcomeCosts]:
@@ -154,14 +154,12 @@ def _mean_seconds(costs: Sequence[OutcomeCosts]) -> float | None:
     return sum(cost.run_seconds for cost in costs) / count if count else None
 
 
-def _map_cost(origin: MapOrigin, campaign: str) -> MapCost:
+def _map_cost(origin: MapOrigin) -> MapCost:
     made = sensitivity_cost(origin.costs)
-    return MapCost(
-        id=origin.id, made_by=origin.made_by, paid_here=origin.made_by == campaign, runs=made.simulated, seconds=made.seconds
-    )
+    return MapCost(id=origin.id, made_by=origin.made_by, runs=made.simulated, seconds=made.seconds)
 
 
-def _remarks(accounting: Accounting, lost: int) -> list[str]:
+def _remarks(accounting: Accounting, lost: int, campaign: str) -> list[str]:
     """Returns sentences about the runs, the map and its break-even."""
     remarks = []
     if accounting.runs:
@@ -169,7 +167,7 @@ def _remarks(accounting: Accounting, lost: int) -> list[str]:
         most = sum(accounting.runs.values())
         remarks.append(f"The simulator ran {f'{most - lost:,} to ' * (lost > 0)}{most:,} times: {runs}.")
     used = accounting.map
-    if used is not None and not used.paid_here:
+    if used is not None and used.made_by != campaign:
         cost = f" ({used.runs:,} runs, {used.seconds:,.1f} s)" if used.runs else ""
         paid = "is expert knowledge" if used.made_by is None else f"was paid by campaign {used.made_by}"
         remarks.append(f"The influence map {paid}{cost}.")

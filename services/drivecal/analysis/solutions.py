@@ -176,6 +176,8 @@ class SetJudge:
         reported = self._mean(by_seed, runs, fresh)[0] if len(fresh) > 1 and choosing is not fresh else None
         if reported is not None:
             solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
+        elif len(fresh) > 1 and choosing is not fresh:  # no run of the report has what a constraint bounds
+            return None, cells
         failures = sum(cell.failed for cells in runs.values() for cell in cells.values())
         return replace(solution, replicates=len(by_seed), failures=failures), cells
 
@@ -183,7 +185,8 @@ class SetJudge:
         self, by_seed: Mapping[int, EvaluatedSet], runs: Mapping[int, Cells], seeds: Sequence[int]
     ) -> tuple[EvaluatedSet | None, Cells]:
         """Returns a set by the means over some of its seeds, with its objective over them, and these means."""
-        cells = {name: over_seeds([runs[seed][name] for seed in seeds]) for name in runs[seeds[0]]}
+        partial = min(seeds) > self.choosing
+        cells = {name: over_seeds([runs[seed][name] for seed in seeds], partial=partial) for name in runs[seeds[0]]}
         first, values = by_seed[seeds[0]], list(zip(*(by_seed[seed].judgement.amounts for seed in seeds), strict=True))
         place = first.parameter_set, first.iteration, first.individual
         (solution,) = self.of_cells([place], [cells], [self.counted(runs) or [cells]])
@@ -241,7 +244,7 @@ class Ranking:
                 self._places[number] = place
             cells = self._runs.setdefault(number, {}).setdefault(answer.seed, {})
             known = cells.get(answer.scenario)
-            if known is None or _worth(answer) > _worth(known):
+            if known is None or answer.worth > known.worth:
                 cells[answer.scenario] = answer
             touched.add(number)
         self._surest_front = self._best = self._levels = None
@@ -587,8 +590,3 @@ class Ranking:
             ((_, by_seed),) = self._judge.by_seed(self._places, {number: runs})
             sides += filter(None, self._judge.over_seeds(by_seed, runs)[:1])
         return (sides[0], sides[1]) if len(sides) > 1 else None
-
-
-def _worth(answer: CellScore) -> tuple[bool, bool, bool, int, int]:
-    """Orders answers for one cell: a result before none, an own one before a copy, a copy before a prediction, then the earlier one."""
-    return answer.score is not None, answer.own, not answer.predicted, -answer.iteration, -answer.individual

@@ -216,6 +216,7 @@ class SupervisedBackend(Backend, ABC):
     def _start(self, worker: WorkerProcess) -> None:
         worker.incarnation += 1
         worker.bundles.clear()
+        worker.recent.clear()
         try:
             self._launch(worker)
         except OSError as error:  # no room for a process, a file or a descriptor: another process of ours would get none either

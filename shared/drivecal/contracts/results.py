@@ -17,12 +17,10 @@ class SensitivityCost(OutcomeCounts):
 
 
 class MapCost(Answer):
-    """The influence map in use and its cost. `paid_here` is true if this campaign's own sensitivity stage made it. `made_by` is the id of
-    the campaign that made it, null for expert knowledge."""
+    """The influence map in use and its cost. `made_by` is the id of the campaign that made it, null for expert knowledge."""
 
     id: str
     made_by: str | None
-    paid_here: bool
     runs: int
     seconds: float
 

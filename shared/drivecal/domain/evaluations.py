@@ -156,6 +156,11 @@ class CellScore:
     values: Mapping[str, float] = field(default_factory=dict)
     """Other values of the run that answered the cell, by their keys."""
 
+    @property
+    def worth(self) -> tuple[bool, bool, bool, int, int]:
+        """Orders answers for one cell: a result before none, an own one before a copy, a copy before a prediction, then the earlier one."""
+        return self.score is not None, self.own, not self.predicted, -self.iteration, -self.individual
+
 
 @dataclass(frozen=True, slots=True)
 class AuditCount:

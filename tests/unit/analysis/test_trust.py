@@ -175,12 +175,8 @@ def test_noise_failures_and_cut_scores_are_amber_if_they_matter() -> None:
     seeded = {"failures": 1, "failure_interval": (0.0, 0.07)}
     assert lights(campaign(best=BEST.model_copy(update=seeded)))["failing_runs"] == "amber"
     assert lights(campaign(), chosen=Chosen({}, failures=2, failure_interval=(0.0, 0.1)))["failing_runs"] == "amber"
-    for constraint, least, light in (
-        ({"rate": 0.1}, 0.0, "neutral"),
-        ({"rate": 0.03}, 0.0, "amber"),
-        ({"rate": 0.03}, 0.031, "red"),
-        ({"measure": "y", "at_most": 1.0, "rate": None}, 0.0, "amber"),
-    ):
+    for rate, least, light in ((0.1, 0.0, "neutral"), (0.03, 0.0, "amber"), (0.03, 0.031, "red"), (None, 0.0, "amber")):
+        constraint = {"rate": rate} if rate else {"measure": "y", "at_most": 1.0}
         rated = {"optimizer": {"kind": "genetic"}, "constraints": [constraint]}
         seeded = {"failures": 1, "failure_interval": (least, 0.07)}
         assert lights(campaign(best=BEST.model_copy(update=seeded), spec=rated))["failing_runs"] == light

@@ -161,10 +161,10 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
         places = [place] * min(room, needed[place], half)
     elif ranking.has_front:
         objectives = ranking.by_objective()[1]
-        is_exact = bool(objectives) and all(each.is_known and not each.is_random for each in objectives)
+        is_exact = known.is_known and all(each.is_known and not each.is_random for each in objectives)
         members = {member.solution.parameter_set for member in ranking.front() if not is_exact}
-        open_ = [place for place, number in enumerate(numbers) if number in members and known.counts[place] < choosing]
-        places = sorted(open_, key=lambda place: int(known.counts[place]))[: max(0, min(room, affordable))]
+        on_front = [place for place, number in enumerate(numbers) if number in members]
+        places = sorted(on_front, key=lambda place: len(ranking.seeds(numbers[place])))[: max(0, min(room, affordable))]
     else:
         # a small budget reports by fewer runs
         report = (

@@ -383,12 +383,11 @@ class Scheduler:
         ]
         if self._is_scarce:  # what is scarce is never left to the end
             able = [group for group in able if self._in_flight.setup(group.setup).resources] or able
-        chosen = self._affinity.choose(worker, {group.setup: self._to_do(group) for group in able})
+        cost = self._costs.seconds_per_cell
+        chosen = self._affinity.choose(
+            worker, {group.setup: group.waiting * (cost(group.setup) or TARGET_SECONDS) for group in able}
+        )
         return None if chosen is None else line.groups[chosen]
-
-    def _to_do(self, group: ClaimGroup) -> float:
-        cost = self._costs.seconds_per_cell(group.setup)
-        return group.waiting * (TARGET_SECONDS if cost is None else cost)
 
     def _size(self, worker: str, group: ClaimGroup) -> int:
         if self._worker_health.on_probation(worker) or self._affinity.is_fruitless(group.setup):
