@@ -325,8 +325,7 @@ def _effects(samples: Floats) -> tuple[Floats, float]:
         left = values - rows * added
         means = left.sum(axis=1) / counts
         within = ((left - rows * means[:, np.newaxis]) ** 2).sum() + (means**2 * counts * weights * drawn).sum()
-        squares = within + (alone**2).sum() * ratio / (1 + ratio)
-        spread = max(float(squares / freedom), 1e-300)
+        spread = max(float((within + (alone**2).sum() * ratio / (1 + ratio)) / freedom), 1e-300)
         terms = freedom * np.log(spread), np.log1p(counts[good] / ratio).sum(), len(alone) * np.log1p(1 / ratio)
         likelihood = -sum(terms) - 2 * np.log(np.diag(factor[0])).sum()
         if likelihood > most:

@@ -487,11 +487,12 @@ class Ranking:
         """A set with a predicted score; None for others."""
         return self._predicted.get(parameter_set)
 
-    def front(self) -> list[FrontMember]:
+    def front(self, *, hopeful: bool = False) -> list[FrontMember]:
         """The sets that no other set dominates, best first objective first, each vector of objectives once: of equal ones a set whose
-        scores are all its own, then the first of the ranking. Infeasible ones only while none is feasible. Of one objective the best."""
+        scores are all its own, then the first of the ranking. Infeasible ones only while none is feasible; if `hopeful`, sets that may
+        still show their rates count as feasible. Of one objective the best."""
         self._assess()
-        return self._front(self._solutions.values())
+        return self._front(self._solutions.values(), hopeful=hopeful)
 
     def reaches_front(self, cells: Mapping[str, CellScore]) -> bool:
         """Returns whether no set with scores of its own dominates one with these cells, nor has the same objectives."""
@@ -524,7 +525,7 @@ class Ranking:
         best = None if on_front is not None else self.best()
         return on_front if best is None or not best[0].reused or best[0].parameter_set in tried else best[0]
 
-    def _front(self, solutions: Iterable[EvaluatedSet]) -> list[FrontMember]:
+    def _front(self, solutions: Iterable[EvaluatedSet], *, hopeful: bool = False) -> list[FrontMember]:
         judged = list(solutions)
         if not judged:
             return []
@@ -533,7 +534,8 @@ class Ranking:
             least = min(self.order(each)[:2] for each in judged)
             kept = np.array([self.order(each)[:2] == least for each in judged])
         else:
-            kept = self._goals.leading(points, np.array([each.choice.violation for each in judged]))
+            violations = [0.0 if hopeful and each.choice.is_undecided else each.choice.violation for each in judged]
+            kept = self._goals.leading(points, np.array(violations))
         ordered = sorted(np.flatnonzero(kept).tolist(), key=lambda place: self.order(judged[place]))
         alike = [[judged[ordered[place]] for place in group] for group in self._goals.alike(points[ordered])]
         members = [

@@ -281,7 +281,11 @@ class Dispatcher:
         for campaign in sorted(headings, key=lambda heading: heading.state not in running):
             with logs.about(campaign=campaign.id, campaign_name=campaign.name):
                 self._look_at(campaign)
-        waiting = [heading for heading in headings if heading.sequence not in self._active and _waits_for_a_place(heading)]
+        idle = [each for each in headings if each.sequence not in self._active and each.kind != "evaluation"]
+        resumed = CampaignState.PAUSED, "resume"
+        waiting = [
+            each for each in idle if each.state is CampaignState.QUEUED or (each.state, each.requested_action) == resumed
+        ]
         self._in_line = waiting if self._is_full else []
 
     def _look_at(self, campaign: CampaignHeading) -> None:
@@ -480,11 +484,6 @@ def _ends_all_the_same() -> Iterator[None]:
         raise
     except Exception:
         log.exception("its best set stays what the last closed round made it")
-
-
-def _waits_for_a_place(heading: CampaignHeading) -> bool:
-    is_resumed = heading.state is CampaignState.PAUSED and heading.requested_action == "resume"
-    return heading.kind != "evaluation" and (heading.state is CampaignState.QUEUED or is_resumed)
 
 
 def _without(work: Sequence[Work], answered: Collection[int]) -> list[Work]:

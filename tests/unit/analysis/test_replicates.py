@@ -566,7 +566,7 @@ def test_a_small_budget_decides_the_rate_of_one_set_before_it_tries_another() ->
 def test_sets_of_a_front_get_further_runs_and_lucky_ones_leave_it() -> None:
     worst = Objective("worst", CellValue(COST), {"S1": 1.0}, Aggregate("max"), -1)
     other = Objective("gap", GAP, {"S1": 1.0}, Aggregate(), -1)
-    ranking, left = Ranking({"S1": 1}, Goals((worst, other)), USUAL), 24
+    ranking, left = Ranking({"S1": 1}, Goals((worst, other), (replace(RATE, rate=0.5, value=GAP),)), USUAL), 28
     truths, drawn = (
         {0: (1.0, 4.0), 1: (2.0, 2.0), 2: (4.0, 1.0), 3: (5.0, 5.0)},
         np.random.default_rng(1).normal(size=(4, 20, 2)),

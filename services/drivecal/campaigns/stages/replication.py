@@ -153,18 +153,19 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     numbers, known = ranking.statistics(spare) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
     leader = known.best(wanted.confidence)
-    if needed.get(leader, spare + 1) <= spare and known.counts.max() > 1:
+    rivals, open_ = [leader, *np.flatnonzero(known.ahead(leader) > 1 - wanted.confidence).tolist()], [leader]
+    if ranking.has_front:
+        members = {member.solution.parameter_set for member in ranking.front(hopeful=True)}
+        rivals = open_ = [place for place, number in enumerate(numbers) if number in members]
+    if any(needed.get(place, spare + 1) <= spare for place in open_) and known.counts.max() > 1:
         # of sets as good as the leader, as far as is known, the one with the fewest seeds left to show its rates is first
-        close = np.flatnonzero(known.ahead(leader) > 1 - wanted.confidence).tolist()
-        place = min([leader, *close], key=lambda place: needed.get(place, choosing))
+        place = min(rivals, key=lambda place: needed.get(place, choosing + 1))
         half = max(1, len(ranking.seeds(numbers[place])) // 2)  # of its seeds so far: a bad set is soon known
         places = [place] * min(room, needed[place], half)
     elif ranking.has_front:
-        objectives = ranking.by_objective()[1]
-        is_exact = known.is_known and all(each.is_known and not each.is_random for each in objectives)
-        members = {member.solution.parameter_set for member in ranking.front() if not is_exact}
-        on_front = [place for place, number in enumerate(numbers) if number in members]
-        places = sorted(on_front, key=lambda place: len(ranking.seeds(numbers[place])))[: max(0, min(room, affordable))]
+        is_exact = known.is_known and not any(each.is_random or not each.is_known for each in ranking.by_objective()[1])
+        room = 0 if is_exact else max(0, min(room, affordable))
+        places = sorted(rivals, key=lambda place: len(ranking.seeds(numbers[place])))[:room]
     else:
         # a small budget reports by fewer runs
         report = (
