@@ -296,7 +296,7 @@ def _effects(samples: Floats) -> tuple[Floats, float]:
     """Returns what seeds add to all sets, of mean 0, shape (n_seeds,), and the variance of a run without it; zeros if too few sets tell.
 
     Sets get further runs because their first one was good. Means of these sets alone take their luck for an effect of the first seed, and
-    leave two thirds of the noise. So sets are draws from a normal distribution around the median, and the restricted likelihood (Patterson
+    leave some 0.7 of the noise. So sets are draws from a normal distribution around the median, and the restricted likelihood (Patterson
     and Thompson 1971) tells which part of a first run is luck. Sets `MOST_BAD_LUCK` below the median are bad, not unlucky.
     """
     from scipy.linalg import cho_factor, cho_solve

@@ -148,38 +148,38 @@ def test_faults_of_junctions_are_named_by_line(old: str, new: str, part: str) ->
     assert part in message
 
 
+LINK = '<{} elementType="road" elementId="{}" contactPoint="{}"/>'
+INSIDE = lane(-1).replace("<width", '<link><predecessor id="-1"/><successor id="-1"/></link><width')
+
+
 def with_a_junction() -> bytes:
     """A road that leads into another one through a junction."""
-    link = '<{} elementType="road" elementId="{}" contactPoint="{}"/>'
-    inside = link.format("predecessor", "1", "end") + link.format("successor", "2", "start")
-    lanes = lane(-1).replace("<width", '<link><predecessor id="-1"/><successor id="-1"/></link><width')
+    inside = LINK.format("predecessor", "1", "end") + LINK.format("successor", "2", "start")
     return document(
         road("1", link='<successor elementType="junction" elementId="A"/>'),
         road("2", LINE.replace('x="0"', 'x="200"'), link='<predecessor elementType="junction" elementId="A"/>'),
-        road("11", LINE.replace('x="0"', 'x="100"'), lanes, junction="A", link=inside),
+        road("11", LINE.replace('x="0"', 'x="100"'), INSIDE, junction="A", link=inside),
         '<junction id="A" name=""><connection id="0" incomingRoad="1" connectingRoad="11" contactPoint="start">'
         '<laneLink from="-1" to="-1"/></connection></junction>',
     )
 
 
 def test_a_junction_that_leads_to_a_junction_is_refused_with_both() -> None:
-    link = '<{} elementType="road" elementId="{}" contactPoint="{}"/>'
-    inner = lane(-1).replace("<width", '<link><predecessor id="-1"/><successor id="-1"/></link><width')
     parts = [
         road("1", link='<successor elementType="junction" elementId="A"/>'),
         road("2", LINE.replace('x="0"', 'x="300"'), link='<predecessor elementType="junction" elementId="B"/>'),
     ]
     ways = (("A", "1", "11", "21", "100"), ("B", "11", "21", "2", "200"))
     for junction, before, inside, after, x in ways:
-        links = link.format("predecessor", before, "end") + link.format("successor", after, "start")
-        parts.append(road(inside, LINE.replace('x="0"', f'x="{x}"'), inner, junction=junction, link=links))
+        links = LINK.format("predecessor", before, "end") + LINK.format("successor", after, "start")
+        parts.append(road(inside, LINE.replace('x="0"', f'x="{x}"'), INSIDE, junction=junction, link=links))
     for junction, before, inside, *_ in ways:
         way = f'<connection id="0" incomingRoad="{before}" connectingRoad="{inside}" contactPoint="start">'
         parts.append(f'<junction id="{junction}" name="">{way}<laneLink from="-1" to="-1"/></connection></junction>')
     problem = refused(document(*parts))
     assert all(f" {name} " in f"{problem.message.replace(',', ' ')} " for name in ("11", "21", "A", "B"))
     assert "line 9" in problem.message
-    parts[2] = parts[2].replace(link.format("successor", "21", "start"), '<successor elementType="junction" elementId="B"/>')
+    parts[2] = parts[2].replace(LINK.format("successor", "21", "start"), '<successor elementType="junction" elementId="B"/>')
     assert "line 9, the road 11 of junction A leads to the junction B" in refused(document(*parts)).message
 
 
