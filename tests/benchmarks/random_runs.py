@@ -113,7 +113,7 @@ class Campaign:
         for seeds in range(2, most + 1):
             standing = assess(self.samples[:, :seeds])
             leader = int(np.argmax(standing.means))
-            if standing.is_known and standing.probabilities()[leader] >= confidence:
+            if standing.is_known and standing.probabilities[leader] >= confidence:
                 return sets * seeds
         return sets * most
 

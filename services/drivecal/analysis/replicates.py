@@ -28,6 +28,8 @@ FIRST = 4
 """Sets that get a second run before the noise is known."""
 RATIOS = np.array([*np.logspace(-14, -6, 9), *np.logspace(-5, 1, 19)])
 """Variances of a run, in variances of the means of sets; the most probable one is taken."""
+SEED_RATIOS = (1e-8, 1e-3, 0.1, 1.0, 10.0, 1e4)
+"""The same in variances of the effects of seeds."""
 DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
 QUANTILES = 200
@@ -155,8 +157,9 @@ class SetStatistics:
         sound = others[np.isfinite(others).any(axis=1)]
         return assess(sound).noise if len(sound) else None
 
+    @cached_property
     def probabilities(self) -> Floats:
-        """Returns the probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0.
+        """Probability of each set to be the best; NaN: unknown. Only the LISTED most promising ones have one above 0.
 
         A rare failure is no noise of all sets: the mean of a set is the mean of its other runs, less what failures lose in the share of its
         runs that fail. This share is drawn as its runs tell it, and the share of all sets as SHRINKAGE runs more.
@@ -171,7 +174,7 @@ class SetStatistics:
             if level is not None:
                 return np.full(len(samples), np.nan)
             if not len(sound) or not (known := assess(others[sound])).is_known:  # failures are noise like all else then
-                return replace(self, failing=None).probabilities()
+                return replace(self, failing=None).probabilities
             failures, lost = failed[sound].sum(axis=1), float(samples[failed].mean())
         listed = np.argsort(-(known.means + 2 * known.errors), kind="stable")[:LISTED]
         means, counts, failures = known.means[listed], known.counts[listed], failures[listed]
@@ -215,7 +218,7 @@ def _means(samples: Floats, failed: npt.NDArray[np.bool_] | None) -> SetStatisti
     counts = run.sum(axis=1)
     several = counts > 1
     # a rare failure is no effect of its seed
-    effects, noise = _effects(samples if failed is None else np.where(failed, np.nan, samples))
+    effects, noise, common, lost = _effects(samples if failed is None else np.where(failed, np.nan, samples))
     filled = np.where(run, samples - effects, 0.0)
     means = filled.sum(axis=1) / counts
     residuals = np.where(run, samples - effects - means[:, np.newaxis], 0.0)
@@ -223,9 +226,9 @@ def _means(samples: Floats, failed: npt.NDArray[np.bool_] | None) -> SetStatisti
     deviations = np.where(run, samples - raw[:, np.newaxis], 0.0)
     sets_by_seed = run[several].sum(axis=0)
     used, own = sets_by_seed > 0, counts - 1.0
-    freedom = max(own.sum() - max(used.sum() - 1, 0), 0.0)
-    if freedom < FEWEST:
-        unknown, few = np.full(len(samples), np.nan), np.full(len(samples), freedom)
+    freedom, least = own.sum() - lost, max(own.sum() - max(used.sum() - 1, 0), 0.0)  # if all effects may have any size
+    if least < FEWEST:
+        unknown, few = np.full(len(samples), np.nan), np.full(len(samples), least)
         return SetStatistics(counts, means, unknown, unknown, few, few)
     if np.abs(deviations).max() <= 1e-12 * np.abs(raw).max():  # rounding is no noise
         residuals = deviations = np.zeros_like(deviations)
@@ -239,10 +242,8 @@ def _means(samples: Floats, failed: npt.NDArray[np.bool_] | None) -> SetStatisti
     variances = np.maximum(variances, noise)
     triples = float((own * (counts - 2) / counts).sum())  # cubes of two runs cancel out
     skewness = float((deviations**3).sum() / triples / spread**1.5) if triples > 0 and spread > 0 else 0.0
-    # each seed is one draw of what it does to all sets; its estimate has noise as well
-    common = np.maximum(effects[used].var(ddof=1) - noise * (1 / sets_by_seed[used]).mean(), 0.0) if spread > 0 else 0.0
-    freedoms, spreads = np.minimum(prior + own, freedom), variances + common
-    share = common / np.maximum(spreads, 1e-300)
+    freedoms, spreads = np.minimum(prior + own, freedom), variances + (common if spread > 0 else 0.0)
+    share = (spreads - variances) / np.maximum(spreads, 1e-300)
     spread_freedoms = 1 / (share**2 / (used.sum() - 1) + (1 - share) ** 2 / freedoms)  # Satterthwaite 1946
     return SetStatistics(counts, means, variances, spreads, freedoms, spread_freedoms, noise**0.5, skewness)
 
@@ -292,21 +293,21 @@ def widening(level: float | None) -> float:
     return 1.0 if level is None else (level * (1 - level)) ** 0.5 / usual.pdf(usual.inv_cdf(level))
 
 
-def _effects(samples: Floats) -> tuple[Floats, float]:
-    """Returns what seeds add to all sets, of mean 0, shape (n_seeds,), and the variance of a run without it; zeros if too few sets tell.
+def _effects(samples: Floats) -> tuple[Floats, float, float, float]:
+    """Returns what seeds add to all sets, of mean 0, shape (n_seeds,), the variance of a run without it, the variance of such effects, and
+    the degrees of freedom that they take; zeros if too few sets tell.
 
     Sets get further runs because their first one was good. Means of these sets alone take their luck for an effect of the first seed, and
-    leave some 0.7 of the noise. So sets are draws from a normal distribution around the median, and the restricted likelihood (Patterson
-    and Thompson 1971) tells which part of a first run is luck. Sets `MOST_BAD_LUCK` below the median are bad, not unlucky.
+    leave some 0.7 of the noise. So sets are draws from a normal distribution around the median, effects are draws as well (Henderson
+    1975), and the restricted likelihood (Patterson and Thompson 1971) tells which part of a first run is luck. Where effects are small,
+    sets are compared by all their runs, also under seeds of their own. Sets `MOST_BAD_LUCK` below the median are bad, not unlucky.
     """
-    from scipy.linalg import cho_factor, cho_solve
-
     run = np.isfinite(samples)
     several = run.sum(axis=1) > 1
     rows, effects = run[several].astype(np.float64), np.zeros(samples.shape[1])
     used, counts = rows.any(axis=0), rows.sum(axis=1)
     if not len(rows) or counts.sum() - len(rows) < used.sum():
-        return effects, 0.0
+        return effects, 0.0, 0.0, 0.0
     first = int(np.argmax(np.where(used, run.sum(axis=0), 0)))
     centred = np.where(run, samples - np.median(samples[run[:, first], first]), 0.0)
     is_better, values = centred[:, first] > 0, centred[several]
@@ -315,22 +316,29 @@ def _effects(samples: Floats) -> tuple[Floats, float]:
         good = values[:, first] > -MOST_BAD_LUCK * (centred[is_better, first] ** 2).mean() ** 0.5
     values[~good] -= rows[~good] * (values[~good].sum(axis=1) / counts[~good])[:, np.newaxis]
     free = np.flatnonzero(used & (np.arange(len(used)) != first))
-    part, freedom = rows[:, free], counts.sum() - (~good).sum() - len(free) + len(alone)
-    most, noise = -np.inf, 0.0
-    for ratio in RATIOS:
-        drawn = np.where(good, ratio, 0.0)
-        weights, added = 1 / (counts + drawn), np.zeros_like(effects)
-        factor = cho_factor(np.diag(part.sum(axis=0) + 1e-9) - part.T @ (part * weights[:, np.newaxis]), lower=True)
-        added[free] = cho_solve(factor, values[:, free].sum(axis=0) - part.T @ (weights * values.sum(axis=1)))
-        left = values - rows * added
-        means = left.sum(axis=1) / counts
-        within = ((left - rows * means[:, np.newaxis]) ** 2).sum() + (means**2 * counts * weights * drawn).sum()
-        spread = max(float((within + (alone**2).sum() * ratio / (1 + ratio)) / freedom), 1e-300)
-        terms = freedom * np.log(spread), np.log1p(counts[good] / ratio).sum(), len(alone) * np.log1p(1 / ratio)
-        likelihood = -sum(terms) - 2 * np.log(np.diag(factor[0])).sum()
-        if likelihood > most:
-            most, noise, effects = likelihood, spread, added
-    return np.where(used, effects - effects[used].mean(), 0.0), noise
+    part, freedom = rows[:, free], counts.sum() - (~good).sum() + len(alone)
+    drawn = np.where(good, RATIOS[:, np.newaxis], 0.0)  # by ratio and set, as all that follows
+    weights = 1 / (counts + drawn)
+    told = np.diag(part.sum(axis=0)) - part.T @ (part * weights[:, :, np.newaxis])
+    right = values[:, free].sum(axis=0) - (weights * values.sum(axis=1)) @ part
+    constant = np.log1p(counts[good] / RATIOS[:, np.newaxis]).sum(axis=1) + len(alone) * np.log1p(1 / RATIOS)
+    prior, least = np.eye(len(free)) - 1 / (len(free) + 1), np.inf  # of differences from the effect of the first seed
+    for ratio in SEED_RATIOS:
+        added, design = np.zeros((len(RATIOS), len(used))), told + ratio * prior
+        added[:, free] = np.linalg.solve(design, right[:, :, np.newaxis])[:, :, 0]
+        left, away = values - rows * added[:, np.newaxis], ((added[:, free] @ prior) * added[:, free]).sum(axis=1)
+        means = left.sum(axis=2) / counts
+        within = ((left - rows * means[:, :, np.newaxis]) ** 2).sum(axis=(1, 2)) + (means**2 * counts * weights * drawn).sum(
+            axis=1
+        )
+        noises = np.maximum((within + ratio * away + (alone**2).sum() * RATIOS / (1 + RATIOS)) / freedom, 1e-300)
+        improbable = freedom * np.log(noises) + constant + np.linalg.slogdet(design).logabsdet - len(free) * np.log(ratio)
+        likely = int(np.argmin(improbable))
+        if improbable[likely] < least:
+            least, effects, noise = improbable[likely], added[likely], noises[likely]
+            doubt = np.trace(np.linalg.solve(design[likely], prior))
+            common, lost = (away[likely] + noise * doubt) / len(free), len(free) - ratio * doubt
+    return np.where(used, effects - effects[used].mean(), 0.0), float(noise), float(common), float(lost)
 
 
 def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -> list[int]:
@@ -353,9 +361,9 @@ def allocate(standing: SetStatistics, room: int, most: int, confidence: float) -
         return []
     leader = int(np.argmax(standing.means))
     ahead = standing.ahead(leader)
-    shown = standing.probabilities()
+    shown = standing.probabilities
     if np.isnan(shown[leader]):  # what failures mean for quantiles is not known
-        shown = replace(standing, failing=None).probabilities()
+        shown = replace(standing, failing=None).probabilities
     if shown[leader] >= confidence:
         return [leader][:room] if counts[leader] < min(2, most) else []  # no single run is sure
     rivals = np.flatnonzero(ahead > NEGLIGIBLE * (1 - confidence))

@@ -6,6 +6,7 @@ With several objectives or constraints, sets are ranked by the first objective, 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cache
 from math import isnan
 from statistics import fmean
 from typing import Any
@@ -18,6 +19,7 @@ from drivecal.analysis.replicates import SetStatistics
 from drivecal.contracts.specification import ReplicatesSpecification
 from drivecal.domain.evaluations import CellScore
 from drivecal.domain.rounding import levels, same
+from drivecal.plugins.ports import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,10 +215,18 @@ class Ranking:
         self._judge = SetJudge(weights, goals, self._wanted)
         self._goals, self._choosing, self._level = self._judge.goals, self._judge.choosing, self._judge.level
         self.scenarios = self._judge.scenarios
+        self.has_front = len(goals.objectives) > 1
+        """Several objectives make a front."""
+        self.has_rates = any(bound.rate is not None for bound in goals.bounds)
+        """A constraint is on a rate."""
         self._runs: dict[int, dict[int, dict[str, CellScore]]] = {}
         """Answers by set, seed and scenario."""
         self._samples: dict[int, dict[int, float]] = {}
         """Objectives by set and seed, of sets with several seeds."""
+        self._shown: dict[int, int] = {}
+        """Further seeds that show the rates of sets."""
+        self.statistics = cache(self._statistics)
+        """See `_statistics`."""
         self._varies = False
         """Ratings of a set differ between seeds, so that equal scores, which have steps, do not say that there is no noise."""
         self._is_assessed = True
@@ -249,8 +259,10 @@ class Ranking:
             touched.add(number)
         self._surest_front = self._best = self._levels = None
         self._is_assessed = False
+        self.statistics.cache_clear()
         for number, by_seed in self._judge.by_seed(self._places, {number: self._runs[number] for number in touched}):
             runs = self._runs[number]
+            self._shown.pop(number, None)
             self._samples.pop(number, None)  # a run that failed since may have no value
             if by_seed and len(runs) > 1:
                 self._samples[number] = {seed: each.objective for seed, each in by_seed.items()}
@@ -262,11 +274,6 @@ class Ranking:
                     sets[number] = solution
                 else:
                     sets.pop(number, None)
-
-    @property
-    def has_front(self) -> bool:
-        """True if several objectives make a front."""
-        return len(self._goals.objectives) > 1
 
     @property
     def sets(self) -> int:
@@ -316,16 +323,12 @@ class Ranking:
     def noise(self) -> dict[str, float]:
         """Returns the deviation of a run's score by scenario, without what sets have in common, as far as it is known."""
         noise: dict[str, float] = {}
-        repeated = sorted(self._samples, key=self._places.__getitem__)
-        last = max((seed for number in repeated for seed in self._runs[number]), default=0)
+        repeated = [self._runs[number] for number in sorted(self._samples, key=self._places.__getitem__)]
         for scenario in self._judge.shares:
-            samples = np.full((len(repeated), last), np.nan)
-            for place, number in enumerate(repeated):
-                for seed, cells in self._runs[number].items():
-                    if (cell := cells.get(scenario)) is not None and cell.score is not None and not cell.failed:
-                        samples[place, seed - 1] = cell.score
-            known = samples[np.isfinite(samples).any(axis=1)]
-            if len(known) and (deviation := replicates.assess(known).noise) is not None:
+            cells = ({seed: run[scenario] for seed, run in runs.items() if scenario in run} for runs in repeated)
+            known = [{seed: cell.score for seed, cell in each.items() if not cell.failed} for each in cells]
+            samples = _by_seed([each for each in known if any(score is not None for score in each.values())])
+            if len(samples) and (deviation := replicates.assess(samples).noise) is not None:
                 noise[scenario] = deviation
         return noise
 
@@ -340,66 +343,59 @@ class Ranking:
         if not judgement.undecided:
             return None if judgement.broken else 0
         left = 1_000_000 if ever else sum(seed not in seeds_run for seed in range(1, self._choosing + 1))
-        counted = self._judge.counted(self._runs[parameter_set])
-        shown = max(bound.seeds_to_show(counted, left) for bound in self._goals.bounds if bound.rate is not None)
-        return shown if shown <= left else None
+        if parameter_set not in self._shown:
+            counted = self._judge.counted(self._runs[parameter_set])
+            rates = [bound for bound in self._goals.bounds if bound.rate is not None]
+            self._shown[parameter_set] = max(bound.seeds_to_show(counted, 1_000_000) for bound in rates)
+        return shown if (shown := self._shown[parameter_set]) <= left else None
 
-    def statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
+    def _statistics(self, seeds: int = 0) -> tuple[list[int], SetStatistics] | None:
         """Returns what is known of the sets by the seeds that choose, and their ids; None without a set. Sets that keep all
         constraints, or may show it under this many further `seeds`, or else all sets."""
         ids = sorted(self._solutions, key=self._places.__getitem__)  # sums depend on the order, and ids on other campaigns
-        by_seed = {number: self._chosen_by(self._solutions[number]) for number in ids}
+        known = {
+            number: self._samples.get(number) or {min(self._runs[number]): self._solutions[number].objective} for number in ids
+        }
+        by_seed = {number: {seed: known[number][seed] for seed in known[number] if seed <= self._choosing} for number in ids}
         numbers = [number for number, objectives in by_seed.items() if objectives]
         if not numbers:
             return None
         further = [self.to_show(number) for number in numbers]
         kept = [place for place, needed in enumerate(further) if needed is not None and needed <= seeds]
-        sign = self._judge.first.sign
-        samples = np.full((len(numbers), max(max(by_seed[number]) for number in numbers)), np.nan)
-        failed = np.zeros(samples.shape, dtype=np.bool_)
-        for place, number in enumerate(numbers):
-            for seed, objective in by_seed[number].items():
-                samples[place, seed - 1] = sign * objective
-                failed[place, seed - 1] = any(cell.failed for cell in self._runs[number][seed].values())
+        sign, counted = self._judge.first.sign, [(by_seed[number], self._runs[number]) for number in numbers]
+        samples = sign * _by_seed([objectives for objectives, _ in counted])
+        failed = [{seed: any(cell.failed for cell in runs[seed].values()) for seed in each} for each, runs in counted]
         level = self._level if self._level is None or sign > 0 else 1 - self._level
-        known = replicates.assess(samples, level, failed, kept or None)
-        if self._varies and known.is_known and not known.is_random:
-            known = replace(known, variances=np.full_like(known.means, np.nan), spreads=np.full_like(known.means, np.nan))
-        return [numbers[place] for place in kept] or numbers, known
+        standing = replicates.assess(samples, level, _by_seed(failed) == 1, kept or None)
+        if self._varies and standing.is_known and not standing.is_random:
+            unknown = np.full_like(standing.means, np.nan)
+            standing = replace(standing, variances=unknown, spreads=unknown)
+        return [numbers[place] for place in kept] or numbers, standing
 
     def by_objective(self) -> tuple[list[int], list[SetStatistics]]:
         """Returns what the seeds that choose say of each objective, and the ids of the sets; nothing while no set has several seeds."""
         if not self._samples:
             return [], []
         runs = {number: self._runs[number] for number in sorted(self._solutions, key=self._places.__getitem__)}
-        numbers, last = list(runs), max(map(max, runs.values()))
-        samples = np.full((len(self._goals.objectives), len(numbers), min(last, self._choosing)), np.nan)
-        for place, (_, by_seed) in enumerate(self._judge.by_seed(self._places, runs)):
-            for seed in by_seed.keys() & range(1, self._choosing + 1):
-                samples[:, place, seed - 1] = by_seed[seed].judgement.amounts
-        kept = np.isfinite(samples[0]).any(axis=1)
-        known = [replicates.assess(goal.sign * each[kept]) for goal, each in zip(self._goals.objectives, samples, strict=True)]
-        return np.array(numbers)[kept].tolist(), known
-
-    def _chosen_by(self, solution: EvaluatedSet) -> dict[int, float]:
-        objectives = self._samples.get(solution.parameter_set)
-        if objectives is None:
-            objectives = {next(iter(self._runs[solution.parameter_set])): solution.objective}
-        return {seed: objective for seed, objective in objectives.items() if seed <= self._choosing}
+        judged = ((number, by_seed.items()) for number, by_seed in self._judge.by_seed(self._places, runs))
+        chosen = {number: {seed: each for seed, each in by_seed if seed <= self._choosing} for number, by_seed in judged}
+        kept = {number: by_seed for number, by_seed in chosen.items() if by_seed}
+        known = list[SetStatistics]()
+        for at, goal in enumerate(self._goals.objectives):
+            amounts = [{seed: goal.sign * each.judgement.amounts[at] for seed, each in sets.items()} for sets in kept.values()]
+            known.append(replicates.assess(_by_seed(amounts)))
+        return list(kept), known
 
     def _assess(self) -> None:
         """Adds intervals and probabilities to the solutions, if their runs are random."""
         if self._is_assessed:
             return
         self._is_assessed, self._known, confidence = True, None, self._wanted.confidence
-        if not self._samples:
-            return
-        self._levels = None
-        statistics = self.statistics()
+        statistics = self.statistics() if self._samples else None
         if statistics is None:
             return
         numbers, known = statistics
-        self._known = known
+        self._known, self._levels = known, None
         for number in self._solutions.keys() - set(numbers):  # compared before the first set kept the constraints
             self._solutions[number] = replace(self._solutions[number], **UNCOMPARED)
         for place, number in enumerate(numbers):
@@ -417,11 +413,11 @@ class Ranking:
             for number in set(numbers) - {numbers[leader]}:
                 self._solutions[number] = replace(self._solutions[number], is_close=True)
             return
-        has_rates = any(bound.rate is not None for bound in self._goals.bounds)  # which rank first
-        if has_rates:
+        if self.has_rates:  # which rank first
             self._compare_undecided(numbers[leader])
-        probabilities, bounds = np.full(len(numbers), np.nan) if has_rates else known.probabilities(), known.bounds(confidence)
+        probabilities = np.full(len(numbers), np.nan) if self.has_rates else known.probabilities
         ahead, halves, errors = known.ahead(leader), known.half_widths(confidence), known.standard_errors
+        bounds = known.bounds(confidence)
         for place, number in enumerate(numbers):
             solution = self._solutions[number]
             is_reported, half = solution.chosen_by is not None, float(halves[place])
@@ -545,9 +541,10 @@ class Ranking:
         ]
         return sorted(members, key=lambda member: self.order(member.solution))
 
-    def get(self, parameter_set: int) -> EvaluatedSet | None:
-        """A parameter set's solution, None if a result is missing; `parameter_set` is its id."""
-        self._assess()
+    def get(self, parameter_set: int, *, compared: bool = True) -> EvaluatedSet | None:
+        """A parameter set's solution, by its id, None if a result is missing; sooner if it need not be `compared` with others."""
+        if compared:
+            self._assess()
         return self._solutions.get(parameter_set)
 
     def gain_over(self, parameter_set: int, *, random: bool) -> tuple[float | None, bool]:
@@ -592,3 +589,11 @@ class Ranking:
             ((_, by_seed),) = self._judge.by_seed(self._places, {number: runs})
             sides += filter(None, self._judge.over_seeds(by_seed, runs)[:1])
         return (sides[0], sides[1]) if len(sides) > 1 else None
+
+
+def _by_seed(rows: Sequence[Mapping[int, float | None]]) -> Floats:
+    """Returns values of sets by seed, shape (n, n_seeds); NaN without one."""
+    table = np.full((len(rows), max((max(row) for row in rows), default=0)), np.nan)
+    for place, row in enumerate(rows):
+        table[place, np.array(list(row), dtype=np.int64) - 1] = np.array(list(row.values()), dtype=np.float64)
+    return table

@@ -22,7 +22,7 @@ from drivecal.domain.setups import digest
 from drivecal.domain.values import Setting
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.results import StoredEvaluation
-from drivecal.storage.revision_queries import CampaignRevision, ProgressSnapshot
+from drivecal.storage.revision_queries import CampaignRevision
 
 ROOT = "/api/v1"
 SECONDS_BETWEEN_POLLS = 1
@@ -76,13 +76,13 @@ def _first_objective(stored: StoredCampaign) -> FirstObjective | None:
     return FirstObjective(name=first.name, unit=first.unit, direction="maximise" if first.sign > 0 else "minimise")
 
 
-def state_of(stored: StoredCampaign | ProgressSnapshot) -> CampaignState:
+def state_of(stored: StoredCampaign) -> CampaignState:
     """Returns the state of a campaign as clients see it: it counts as cancelling as soon as it is asked to cancel."""
     asked = stored.requested_action == "cancel" and not stored.state.ended
     return CampaignState.CANCELLING if asked else stored.state
 
 
-def seconds_of(stored: StoredCampaign | ProgressSnapshot, now: datetime) -> Seconds:
+def seconds_of(stored: StoredCampaign, now: datetime) -> Seconds:
     """Returns the duration of a campaign at the moment `now`, and the CPU time of its simulations."""
     wall = 0.0 if stored.started_at is None else ((stored.ended_at or now) - stored.started_at).total_seconds()
     return Seconds(wall=max(0.0, wall), simulating=stored.simulating_seconds)

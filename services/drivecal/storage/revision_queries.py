@@ -1,4 +1,4 @@
-"""Cheap revision and progress queries. Parses only the documents that it needs."""
+"""Cheap queries of revisions. They parse no document."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -6,9 +6,8 @@ from datetime import datetime
 
 from sqlalchemy import ColumnElement, Connection, bindparam, select
 
-from drivecal.contracts.campaign import Best, Progress
-from drivecal.domain.campaigns import Action, CampaignState, StageName
-from drivecal.storage.campaigns import IDS, CountsByStage, by_stage, listed
+from drivecal.domain.campaigns import Action, CampaignState
+from drivecal.storage.campaigns import IDS, listed
 from drivecal.storage.engine.records import identified, page_by, record
 from drivecal.storage.engine.tables import campaigns, processes
 from drivecal.storage.processes import DISPATCHER
@@ -27,22 +26,7 @@ class CampaignRevision:
     waiting: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class ProgressSnapshot(CampaignRevision):
-    """A revision, and the columns that change while a campaign runs."""
-
-    stage: StageName | None
-    iteration: int | None
-    progress: Progress
-    stages: CountsByStage
-    best: Best | None
-    simulating_seconds: float
-    started_at: datetime | None
-    ended_at: datetime | None
-
-
 _REVISION = [campaigns.c[field.name] for field in fields(CampaignRevision)]
-_PROGRESS = [by_stage() if field.name == "stages" else campaigns.c[field.name] for field in fields(ProgressSnapshot)]
 _HEARTBEAT = select(processes.c.heartbeat_at).where(processes.c.name == DISPATCHER)
 _CAMPAIGN = select(*_REVISION, _HEARTBEAT.scalar_subquery().label("heartbeat_at")).where(
     campaigns.c.id == bindparam("identifier"), campaigns.c.deleted_at.is_(None)
@@ -77,9 +61,3 @@ def page(
 def revision(connection: Connection, sequence: int) -> int | None:
     """The revision of a campaign; None if it is gone."""
     return connection.scalar(select(campaigns.c.revision).where(campaigns.c.sequence == sequence))
-
-
-def snapshot(connection: Connection, sequence: int) -> ProgressSnapshot | None:
-    """Returns the progress of a campaign; None if it is gone."""
-    row = connection.execute(select(*_PROGRESS).where(campaigns.c.sequence == sequence)).one_or_none()
-    return None if row is None else record(ProgressSnapshot, row, state=CampaignState(row.state))

@@ -19,11 +19,11 @@ from drivecal.api.responses import seconds_of, state_of
 from drivecal.contracts.campaign import CampaignEvent, CampaignProgress
 from drivecal.domain.errors import DrivecalError
 from drivecal.domain.events import EventKind, event_text
-from drivecal.storage import events, revision_queries
+from drivecal.storage import campaigns, events, revision_queries
+from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.engine.types import now
 from drivecal.storage.events import StoredEvent
-from drivecal.storage.revision_queries import ProgressSnapshot
 
 LOOK_SECONDS = 0.5
 """Time between two looks at a campaign, and the shortest time between two progress messages."""
@@ -43,7 +43,7 @@ class _Look:
     """A consistent reading of a campaign. `snapshot` is None if nothing changed since the last one."""
 
     heartbeat_at: datetime | None
-    snapshot: ProgressSnapshot | None = None
+    snapshot: StoredCampaign | None = None
     events: Sequence[StoredEvent] = ()
 
 
@@ -66,7 +66,7 @@ class EventHub:
     async def stream(self, sequence: int, campaign: str, last_id: int) -> AsyncGenerator[Sequence[Sent]]:
         """Yields a campaign's events after `last_id`, past and future, until its end; after KEEPALIVE_SECONDS without any an empty list."""
         position, revision, told = last_id, -1, time.monotonic()
-        snapshot: ProgressSnapshot | None = None
+        snapshot: StoredCampaign | None = None
         trouble: str | None = None  # what the dispatcher cannot report: its own silence, or the database's
         looking: asyncio.Task[_Look] | None = None
         try:
@@ -123,9 +123,9 @@ class EventHub:
     def _read(self, sequence: int, position: int, revision: int) -> _Look:
         with self._database.read() as connection:
             heartbeat_at = revision_queries.heartbeat(connection)
-            if revision_queries.revision(connection, sequence) == revision:
+            if revision_queries.revision(connection, sequence) in {revision, None}:
                 return _Look(heartbeat_at)
-            snapshot = revision_queries.snapshot(connection, sequence)
+            snapshot = campaigns.by_sequence(connection, sequence)
             return _Look(heartbeat_at, snapshot, events.since(connection, sequence, position, PAGE))
 
 

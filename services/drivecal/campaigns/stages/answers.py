@@ -127,7 +127,7 @@ class CellAnswers(SearchAnswers):
     def objectives(self, number: int) -> Floats:
         """See `SearchAnswers`. A set belongs to the round of its last cell."""
         sets = {individual: cell.parameter_set for (individual, *_), cell in sorted(self._rounds.get(number, {}).items())}
-        solutions = [self.ranking.get(parameter_set) for parameter_set in sets.values()]
+        solutions = [self.ranking.get(parameter_set, compared=False) for parameter_set in sets.values()]
         return np.array([np.nan if each is None else each.objective for each in solutions], dtype=np.float64)
 
     def for_search(self, number: int, asked: AskedRound) -> tuple[list[CellAnswer]]:

@@ -150,7 +150,7 @@ def next_runs(ranking: Ranking, wanted: ReplicatesSpecification, room: int, affo
     fresh = range(choosing + 1, choosing + 1 if ranking.has_front else wanted.most + 1)
     # without a set, there is nothing to report
     spare = affordable - len(fresh) if ranking.to_show(kept[0][0]) == 0 else affordable
-    numbers, known = ranking.statistics(spare) or kept
+    numbers, known = (ranking.statistics(spare) if ranking.has_rates else None) or kept
     needed = {place: seeds for place, number in enumerate(numbers) if (seeds := ranking.to_show(number))}
     leader = known.best(wanted.confidence)
     rivals, open_ = [leader, *np.flatnonzero(known.ahead(leader) > 1 - wanted.confidence).tolist()], [leader]

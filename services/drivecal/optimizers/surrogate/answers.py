@@ -91,8 +91,7 @@ class Answers:
         )
 
     def ask(self, begun: BegunSet, scenario: int) -> None:
-        """Notes that a cell is asked. If the set has answers from before, their cells are to be asked as well once it is complete: a
-        campaign ranks sets by cells of its own."""
+        """Notes that a cell is asked. If the set has answers from before, their cells count as not asked: see `asked_on`."""
         if begun.number in self._from_before:
             self._from_before.remove(begun.number)
             self._asked_on.add(begun.number)
@@ -112,8 +111,6 @@ class Answers:
             self.order[scenario].append(begun.number)
             self._listed[scenario].append((answer.cell.replicate, values, bool(self._failed[begun.number, scenario])))
         self._asked[begun.number, scenario, place] = known[place] = True
-        if begun.number in self._asked_on and self._answered[begun.number].any(axis=1).all():
-            begun.whole = True
         if not self._failed[begun.number, scenario]:
             better = self._upwards[scenario] * (values - self.best[scenario]) > 0
             self.best[scenario] = np.where(better, values, self.best[scenario])
@@ -182,6 +179,11 @@ class Answers:
             for begun in self.sets
             if not whole[begun.number] and not begun.given_up and (begun.whole or begun.promise is not None)
         ]
+
+    @property
+    def asked_on(self) -> list[BegunSet]:
+        """The sets with answers from before that a cell of the search has completed, and that are neither given up nor asked wholly."""
+        return [each for each in self.complete() if each.number in self._asked_on and not (each.whole or each.given_up)]
 
     @property
     def dormant(self) -> list[BegunSet]:

@@ -215,6 +215,11 @@ class SurrogateSearch:
             for aim, needs in zip(self._aims, self._needs, strict=True)
         ]
         self._merits = {}
+        for (
+            begun
+        ) in self._answers.asked_on:  # a campaign ranks sets by cells of its own: what was stored is asked of the best alone
+            merits = [(self._merit(begun.number, aim), self._values([begun])) for aim in range(len(self._aims))]
+            begun.whole = self._aim.objectives > 1 or any(merit(values)[0] >= merit.best for merit, values in merits)
         promising = self._promising()
         for begun, drawn, aim in promising:
             if self._left is not None and len(self._answers.missing(begun, self._needs[aim])) > self._left:
