@@ -3,6 +3,7 @@
 .PHONY: help install demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean
 BIN := .venv/bin
 INSTALLED := .venv/.installed
+COLLECTED := .venv/.collected
 # Four processes for two cores, because tests also wait: for deadlines, and for processes that start and end.
 WHOLE_FILES := $(BIN)/pytest --numprocesses 4 --dist loadfile --no-loadscope-reorder
 # Long forms wait more. Five of six may have a server, a browser or Ray beside them: measured singly, they add up to 7.5 GB.
@@ -21,11 +22,17 @@ install: $(INSTALLED) ## install everything from the lock file into .venv
 demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST API, then again with other weights (minutes)
 	@$(BIN)/drivecal demo
 
-test: $(INSTALLED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
+# In a new clone every process of the tests would compile the same modules and kernels at once, for half a minute each.
+$(COLLECTED): $(INSTALLED)
+	@$(BIN)/python -m tests.support.web & $(BIN)/python -m drivecal.runtime & \
+	$(BIN)/pytest --collect-only --quiet -m "slow or not slow" >/dev/null; wait
+	@touch $@
+
+test: $(COLLECTED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(WHOLE_FILES)
 
-test-slow: $(INSTALLED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
+test-slow: $(COLLECTED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
 	@$(BIN)/python -m tests.support.web
 	@$(WHOLE_FILES) --numprocesses $(SLOW_PROCESSES) -m slow
 
