@@ -82,7 +82,7 @@ def test_a_search_goes_on_while_its_front_or_a_violation_gets_better(database: D
         {"objectives": [{"changes": "baseline"}, {"score": "cost"}], "constraints": []},
         {"constraints": [{"score": "cost", "at_most": 0.0001}]},
     ):
-        ended = carried_out(database, **goals, budget={"simulations": 150, "stagnation": 20}, reduction={"isolated": True})
+        ended = carried_out(database, **goals, budget={"simulations": 60, "stagnation": 12}, reduction={"isolated": True})
         assert present(ended.search).better_at > 10, "the first objective is best in the first set, the baseline"
 
 

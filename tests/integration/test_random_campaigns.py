@@ -139,7 +139,7 @@ def test_a_ranking_that_several_requests_look_at_first_is_the_same_for_all(
     usual = SetStatistics.bounds
 
     def late(known: SetStatistics, confidence: float) -> Any:
-        time.sleep(0.2)  # the others would find a ranking without its bounds
+        time.sleep(0.05)  # the others would find a ranking without its bounds
         return usual(known, confidence)
 
     ended = carried_out(database, optimizer=POPULATIONS)
@@ -161,7 +161,7 @@ def test_a_budget_too_small_for_a_further_set_is_no_stagnation(database: Databas
 
 
 def test_what_is_left_after_a_search_counts_the_runs_that_choose_its_best(database: Database) -> None:
-    campaign = submit_checked(database, SPEC | SEVERAL_ROUNDS | {"baseline": {"x": 0.1}})
+    campaign = submit_checked(database, SPEC | {"baseline": {"x": 0.1}})
     working, seen = dispatcher(database, ComputedBackend(driven=noisy)), list[tuple[int, int]]()
     while not get(database, campaign).state.ended:
         working.step()
@@ -169,7 +169,7 @@ def test_what_is_left_after_a_search_counts_the_runs_that_choose_its_best(databa
         if now.search is not None and now.search.ended_by is not None:
             seen.append((now.progress.done, now.progress.total))
     asked = now.cells.requested
-    assert asked - seen[0][0] > 30
+    assert asked - seen[0][0] > 20
     assert all(asked - done <= 2 * (total - done) for done, total in seen)
 
 
@@ -192,12 +192,12 @@ def test_equal_seeds_give_equal_campaigns_whatever_ran_before(database: Database
         asked.append((setup.scenario, setup.seed, float(cell.parameters["x"]), cell.check))
         return noisy(setup, cell)
 
-    carried_out(database, driven=noted, optimizer=POPULATIONS, budget={"simulations": 240})
+    carried_out(database, driven=noted, optimizer=POPULATIONS, budget={"simulations": 80})
     first, other = list(asked), opened(tmp_path / "other.db")
     store(other, scored("before", {"x": {"lower": 2, "upper": 3}}, simulator=SIMULATOR))
-    carried_out(other, problem="before", optimizer=POPULATIONS)
+    carried_out(other, problem="before", optimizer=POPULATIONS, budget={"simulations": 40})
     asked.clear()
-    carried_out(other, driven=noted, optimizer=POPULATIONS, budget={"simulations": 240})
+    carried_out(other, driven=noted, optimizer=POPULATIONS, budget={"simulations": 80})
     assert any(twice for *_, twice in first)
     assert sorted(asked) == sorted(first)
 

@@ -245,6 +245,7 @@ def test_an_id_cannot_leave_its_path() -> None:
     assert script.requests[0][1] == "/api/v1/campaigns/..%2Fworkers%3Fx%3D1"
 
 
+@pytest.mark.usefixtures("waits")
 def test_an_address_that_is_none_is_refused_without_its_password() -> None:
     for address in ("http://me:s3cret@[::1", "http://me:s3cret/@[::1"):
         with pytest.raises(UnavailableError) as refused:

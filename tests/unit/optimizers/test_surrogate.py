@@ -509,7 +509,7 @@ def test_the_settings_are_checked() -> None:
 
 def test_a_random_search_tries_each_value_of_a_choice_again_and_again() -> None:
     """A few unlucky runs would say for good that one is worse."""
-    task = task_of(mean_of(COST, 2), 160, 1, np.array([11, 11, 4], dtype=np.int64), ("grid", "grid", "choice"))
+    task = task_of(mean_of(COST, 2), 100, 1, np.array([11, 11, 4], dtype=np.int64), ("grid", "grid", "choice"))
     luck = np.random.default_rng(1)
 
     def unlucky(cell: AskedCell) -> tuple[float, bool]:
@@ -527,7 +527,7 @@ def test_a_random_search_tries_each_value_of_a_choice_again_and_again() -> None:
 @pytest.mark.parametrize(("values", "known"), [(20, 0), (4, 500)])
 def test_rare_values_of_a_choice_take_a_fifth_of_the_sets(values: int, known: int) -> None:
     """Also of many values, and where many sets are known that have one of them; a value that constraints forbid takes nothing."""
-    task = task_of(mean_of(COST, 2), 160, 1, np.array([11, 11, values], dtype=np.int64), ("grid", "grid", "choice"))
+    task = task_of(mean_of(COST, 2), 100, 1, np.array([11, 11, values], dtype=np.int64), ("grid", "grid", "choice"))
     luck = np.random.default_rng(1)
     rows = task.sample(known, np.random.default_rng(2))
     rows[:, 2] = 1
@@ -536,7 +536,7 @@ def test_rare_values_of_a_choice_take_a_fifth_of_the_sets(values: int, known: in
     played = Played(task, lambda cell: (1.0 + 3.0 * (cell.indices[2] != 2) + float(luck.normal()), False), 1)
     search = begun(task)
     played.play(search)
-    assert len(played.cells) == 160
+    assert len(played.cells) == 100
     promises = [promise for promise, *_ in search.state()["sets"]]
     assert 3 < sum(promise == VALUE_PROMISE for promise in promises) <= len({cell.indices for cell in played.cells}) / 5
 
