@@ -2,7 +2,6 @@
 
 import re
 import subprocess
-import sysconfig
 import tempfile
 from collections.abc import Sequence
 from functools import cache
@@ -28,7 +27,7 @@ REAL: dict[str, tuple[str, tuple[str, ...]]] = {
 
 def program(name: str) -> str:
     """Path of a program of eclipse-sumo."""
-    return str(Path(sysconfig.get_path("scripts")) / name)
+    return str(Path(sumo.__file__).parent / "bin" / name)
 
 
 def real(name: str) -> Path:

@@ -5,6 +5,7 @@ Equal files give equal bytes, if netconvert is the same: without the comment on 
 does not know them, and lets one lane follow the other.
 """
 
+import os
 import re
 import shutil
 import signal
@@ -178,14 +179,13 @@ TIMEOUT = 300.0
 """Seconds, wall-clock: a busy machine runs `SECONDS` slowly."""
 SECONDS, MEGABYTES = 60, 2048
 """Processor time and address space of netconvert: it may take both without end for a curve that is nearly an arc."""
+SUMO = Path(sysconfig.get_path("platlib"), "sumo")  # the script of its netconvert takes as long to start as netconvert runs
 _LIMITED = 'ulimit -v "$1" && ulimit -t "$2" && shift 2 && exec "$@"'
 OPTIONS = (
     "--opendrive.curve-resolution", "1", "--opendrive.internal-shapes", "true", "--offset.disable-normalization", "true",
     "--no-turnarounds", "true", "--output.original-names", "true", "--precision", "4", "--xml-validation", "never",
     "--flatten", "true",
 )  # fmt: skip
-
-
 _VARYING = re.compile(r"'[^']*'|[-+0-9.]+")
 """Names and numbers of a warning."""
 
@@ -232,7 +232,7 @@ def _told(warnings: list[str]) -> list[str]:
 
 def netconvert() -> str:
     """Returns the path of netconvert, preferably of this environment. Raises UnavailableError if it is missing."""
-    executable = shutil.which("netconvert", path=sysconfig.get_path("scripts")) or shutil.which("netconvert")
+    executable = shutil.which("netconvert", path=f"{SUMO}/bin:{sysconfig.get_path('scripts')}") or shutil.which("netconvert")
     if executable is None:
         message = "netconvert, which makes networks, is not installed; type: pip install 'drivecal[opendrive]'"
         raise UnavailableError(message)
@@ -324,10 +324,10 @@ def run_netconvert(arguments: Sequence[str], folder: Path) -> "subprocess.Comple
 
     Raises UnavailableError if it is missing, and subprocess.TimeoutExpired after `TIMEOUT` seconds.
     """
-    limits = [str(MEGABYTES * 1024), str(SECONDS)]
-    command = ["/bin/sh", "-c", _LIMITED, "sh", *limits, netconvert(), *arguments]
+    command = ["/bin/sh", "-c", _LIMITED, "sh", str(MEGABYTES * 1024), str(SECONDS), netconvert(), *arguments]
+    own = {"SUMO_HOME": str(SUMO), "PROJ_LIB": f"{SUMO}/data/proj", "PROJ_DATA": f"{SUMO}/data/proj"} if SUMO.is_dir() else {}
     return subprocess.run(  # noqa: S603  # no words of a user
-        command, cwd=folder, capture_output=True, text=True, errors="replace", check=False, timeout=TIMEOUT
+        command, cwd=folder, env=own | os.environ, capture_output=True, errors="replace", check=False, timeout=TIMEOUT
     )
 
 
