@@ -1,6 +1,6 @@
 # drivecal: `make help` lists what can be made. Everything runs in .venv, which is installed on first use.
 .DEFAULT_GOAL := help
-.PHONY: help install demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean
+.PHONY: help install demo test test-slow test-faults test-compose test-packages check check-code check-page bench train page docs format lock audit sbom clean libraries ready
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 COLLECTED := .venv/.collected
@@ -24,16 +24,20 @@ demo: $(INSTALLED) ## calibrate the highway planner in S1..S6 through the REST A
 
 # In a new clone every process of the tests would compile the same modules and kernels at once, for half a minute each.
 $(COLLECTED): $(INSTALLED)
-	@$(BIN)/python -m tests.support.web & $(BIN)/python -m drivecal.runtime & \
-	$(BIN)/pytest --collect-only --quiet -m "slow or not slow" >/dev/null; wait
+	@$(BIN)/python -m drivecal.runtime & $(BIN)/pytest --collect-only --quiet -m "slow or not slow" >/dev/null; wait
 	@touch $@
 
-test: $(COLLECTED) ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
+libraries: $(INSTALLED)
 	@$(BIN)/python -m tests.support.web
+
+ready: $(COLLECTED) libraries
+
+test: ## run the tests: real SUMO, Ray, HTTP, a browser, SQLite and PostgreSQL (minutes)
+	@$(MAKE) --no-print-directory --jobs 2 ready
 	@$(WHOLE_FILES)
 
-test-slow: $(COLLECTED) ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
-	@$(BIN)/python -m tests.support.web
+test-slow: ## run the long forms, which `make test` leaves out: whole campaigns, more kills, further cases (minutes)
+	@$(MAKE) --no-print-directory --jobs 2 ready
 	@$(WHOLE_FILES) --numprocesses $(SLOW_PROCESSES) -m slow
 
 test-faults: $(INSTALLED) ## the long forms of all tests of `make test` and `make test-slow` but those in a browser: kill, stop and starve everything, every case, random examples (one to two hours)

@@ -72,7 +72,7 @@ def test_a_small_campaign_on_sqlite_outlives_its_server(server_on: MakeServer, s
         (Moment(0.3, 0.1), and_ready_again(kill_dispatcher)),
         (Moment(0.6, 0.0), kill_supervisor),
     ]
-    server = server_on("sqlite")
+    server = server_on("sqlite", DRIVECAL_WORKERS="1")
     live(server, plan, small_without_faults, SMALL)
     log = server.log.read_text()
     assert "the API ended unexpectedly" in log

@@ -50,7 +50,6 @@ NOISE = 0.3
 SIMULATOR = {"kind": "process", "command": ["mysim"], "random": True}
 MANIFEST = scored("noisy", {"x": {"lower": 0, "upper": 1, "step": 0.005}}, simulator=SIMULATOR)
 SPEC: dict[str, Any] = {"problem": "noisy", "optimizer": {"kind": "surrogate", "seed": 1}, "budget": {"simulations": 120}}
-SEVERAL_ROUNDS = {"budget": {"simulations": 240}}
 POPULATIONS = {"kind": "random", "population": 10, "seed": 1}
 
 
@@ -405,7 +404,7 @@ def test_a_simulator_that_is_random_without_saying_so_gets_replicates(tmp_path: 
 @pytest.mark.parametrize(
     ("changes", "driven"),
     [
-        (SEVERAL_ROUNDS, noisy),
+        ({"budget": {"simulations": 160}}, noisy),
         ({"optimizer": POPULATIONS, "replicates": {"aggregate": {"quantile": 0.9}}}, noisy),
         (RATED, failing),
     ],
