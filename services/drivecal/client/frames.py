@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from drivecal.configuration.arrow import arrow_schema, arrow_table
+from drivecal.configuration.arrow import arrow_schema
 from drivecal.contracts.campaign import MOST_ROWS, html_table
 from drivecal.contracts.tables import Kind, Solution, SolutionPage, columns_of, file_row
 
@@ -71,7 +71,9 @@ class Rows(list[RowModel], Frames):
         """Returns a `pyarrow.Table`. Without rows it lacks columns of scores, objectives and parameters."""
         _package("pyarrow")
         keys = {name: self._kinds(name) for name in self._model.model_fields}
-        return arrow_table(arrow_schema(columns_of(self._model, keys)), map(file_row, self))
+        from pyarrow import Table
+
+        return Table.from_pylist([file_row(row) for row in self], schema=arrow_schema(columns_of(self._model, keys)))
 
     def _kinds(self, name: str) -> dict[str, Kind]:
         """Returns the keys of a mapping in all rows with the kinds of their values; nothing for another field."""

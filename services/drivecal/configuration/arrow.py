@@ -1,6 +1,6 @@
-"""Tables of `contracts.tables` as pyarrow has them, for files and data frames."""
+"""Columns of `contracts.tables` as pyarrow has them, for files and data frames."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from drivecal.contracts.tables import Column
@@ -13,10 +13,3 @@ def arrow_schema(columns: Sequence[Column]) -> Any:
     types = {"integer": pa.int64(), "number": pa.float64(), "text": pa.string(), "truth": pa.bool_()}
     types["numbers"] = pa.list_(pa.float64())
     return pa.schema([(column.name, types[column.kind]) for column in columns])
-
-
-def arrow_table(schema: Any, rows: Iterable[Mapping[str, Any]]) -> Any:
-    """Returns a `pyarrow.Table` of rows, which may lack columns of the schema."""
-    import pyarrow as pa
-
-    return pa.Table.from_pylist(list(rows), schema=schema)

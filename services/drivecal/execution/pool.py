@@ -2,15 +2,16 @@
 
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from drivecal.contracts.inventory import ResourceAnswer
 from drivecal.contracts.work import Batch, BatchResult, SetupRequest
 from drivecal.domain.errors import UnavailableError
+from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Backend, Finished, Lost, WorkerInfo
-from drivecal.execution.measures import MEASURES
-from drivecal.execution.observing import Observer, breakdowns
+from drivecal.execution.measures import DEPARTED, MEASURES
 from drivecal.execution.scheduling.in_flight import Completed, Dispatch, RunBudget, Work
 from drivecal.execution.scheduling.resources import Resources
 from drivecal.execution.scheduling.scheduler import Scheduler
@@ -19,6 +20,8 @@ from drivecal.storage.engine.database import Database
 
 ASK_AGAIN_SECONDS = 10.0
 """Pause after every worker failed to run a probe."""
+FAILURES_TOLD = 20
+"""Failures of a campaign logged in full; then only the 32nd, 64th, 128th and so on."""
 
 
 @dataclass(slots=True)
@@ -258,17 +261,12 @@ class WorkPool:
         ]
         final = {entry.result.id for entry in completed}
         self._unstarted |= {cell: count for cell, count in unstarted.items() if cell not in final}
-        self._note_returned(dispatch, event, final)
+        # leases of cells without a final answer are given back, with their breakdowns
+        broken = breakdowns(dispatch, event)
+        self._returned |= {cell: count + (cell in broken) for cell, count in dispatch.breakdowns.items() if cell not in final}
+        self._returned |= self._scheduler.take_breakdowns()
         self._observer.came_back(dispatch, event, completed)
         return completed
-
-    def _note_returned(self, dispatch: Dispatch, event: Finished | Lost, completed: set[int]) -> None:
-        """Gives back the leases of cells without a final answer, with their breakdowns."""
-        broken = breakdowns(dispatch, event)
-        for cell, count in dispatch.breakdowns.items():
-            if cell not in completed:
-                self._returned[cell] = count + (cell in broken)
-        self._returned |= self._scheduler.take_breakdowns()
 
     def _take_answer(self, event: Finished | Lost) -> None:
         if isinstance(event, Finished):
@@ -353,3 +351,58 @@ def _unstarted(dispatch: Dispatch, event: Finished | Lost) -> dict[int, int]:
     elif event.result.refusal is None:
         started |= left
     return {cell: count - started.get(cell, 0) for cell, count in planned.items()}
+
+
+class Observer:
+    """Reports every returned batch."""
+
+    def __init__(self) -> None:
+        self._failures: Counter[str] = Counter()
+
+    def came_back(self, dispatch: Dispatch, event: Finished | Lost, completed: Collection[Completed]) -> None:
+        """Notes a returned batch; its cells that are not `completed` are sent again."""
+        broken = breakdowns(dispatch, event)
+        if isinstance(event, Finished):
+            result = event.result
+            if result.refusal is None and dispatch.batch.cells:
+                MEASURES.batch.observe(result.seconds)
+            if result.busy is not None:
+                MEASURES.busy_answers.inc()
+            for answer in result.results:
+                if answer.breakdown is None:
+                    MEASURES.evaluation.observe(answer.milliseconds / 1000)
+        elif event.departed and event.begun:
+            MEASURES.breakdowns.labels(DEPARTED).inc()
+        for kind in broken.values():
+            MEASURES.breakdowns.labels(kind).inc()
+        final = {completion.result.id for completion in completed}
+        for cell, kind in broken.items():
+            if cell not in final:
+                MEASURES.retries.labels(kind).inc()
+        for failed in completed:
+            if failed.result.breakdown is not None:
+                self._tell_failure(failed)
+
+    def _tell_failure(self, completed: Completed) -> None:
+        """Logs the first failures of a campaign, then fewer and fewer: thousands may be alike."""
+        self._failures[completed.tag] += 1
+        count = self._failures[completed.tag]
+        if count <= FAILURES_TOLD or count.bit_count() == 1:
+            result = completed.result
+            log.warning(
+                "cell %d has no result after %d attempts (%s, at last on %s; failure %d of this campaign): %s",
+                *(result.id, completed.attempts, result.breakdown, completed.worker, count, result.detail),
+                extra={"campaign": completed.tag},
+            )
+
+
+def breakdowns(dispatch: Dispatch, event: Finished | Lost) -> Mapping[int, str]:
+    """Returns the kind of breakdown by cell id. Cells have none that a refusal or a busy simulator leaves, whose worker left,
+    or that it had not begun."""
+    if isinstance(event, Lost):
+        return {} if event.departed else dict.fromkeys(event.blamed(dispatch.breakdowns), event.breakdown.value)
+    result: BatchResult = event.result
+    answered = {answer.id: answer.breakdown for answer in result.results}
+    missing = None if result.refusal is not None or result.busy is not None else Breakdown.ERROR.value
+    kinds = ((cell, answered.get(cell, missing)) for cell in dispatch.breakdowns)
+    return {cell: kind for cell, kind in kinds if kind is not None}

@@ -7,7 +7,7 @@ from drivecal.contracts.work import Batch
 from drivecal.domain.evaluations import Breakdown
 from drivecal.execution.backend import Lost
 from drivecal.execution.measures import MEASURES, Measures
-from drivecal.execution.observing import Observer
+from drivecal.execution.pool import Observer
 from drivecal.execution.scheduling.in_flight import Dispatch
 
 

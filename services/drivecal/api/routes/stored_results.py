@@ -1,10 +1,12 @@
 """Look-ups of stored results; results of vehicles, test benches and other tools."""
 
+import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request, Response
 from pydantic import Field
+from sqlalchemy import Connection
 
 from drivecal.api.dependencies import Accept, DatabaseDependency, Owner, computed
 from drivecal.api.http.authorisation import refuse_others
@@ -13,8 +15,8 @@ from drivecal.api.http.queries import Parameters, TableOf
 from drivecal.api.tables.paging import listed, page_or_file
 from drivecal.bundles.units import same
 from drivecal.campaigns.resolve.bench import Bench
+from drivecal.campaigns.resolve.spaces import Function, free_values
 from drivecal.campaigns.resolve.workbench import bench_of, stored_bundles
-from drivecal.campaigns.results.stored import given_sets, stored_simulations
 from drivecal.configuration.tokens import Token
 from drivecal.contracts.outside.imported import (
     MOST_CELLS,
@@ -25,14 +27,17 @@ from drivecal.contracts.outside.imported import (
     StoredCell,
     StoredCells,
 )
-from drivecal.contracts.specification import ProblemSpecification
+from drivecal.contracts.specification import ProblemSpecification, Values
 from drivecal.contracts.strict_json import ProblemName, Source
 from drivecal.contracts.tables import ImportedRow, Kind, columns_of
 from drivecal.domain.errors import ConflictError, Diagnostics, InvalidInputError, Problem
+from drivecal.domain.evaluations import Donor, Rating
+from drivecal.domain.parameters import ParameterSet
 from drivecal.storage import bundles
 from drivecal.storage.engine.database import Database
 from drivecal.storage.outside import imported
 from drivecal.storage.outside.imported import ImportedValues
+from drivecal.storage.references import parameter_sets, runs, setups
 
 router = APIRouter(prefix="/results", tags=["evaluations"], route_class=StrictRoute)
 PATHS = "/api/v1/results", "/api/v1/results/lookup"
@@ -180,3 +185,37 @@ def _items(place: int, row: ImportedValues, first: _Simulated, scores: Mapping[s
         if value is not None:
             both = {"value": value, "simulated": known, "difference": None if known is None else value - known}
             yield ImportedRow.of(row, parameters=row.parameters.floats, kind=kind, name=name, unit=unit, **both)
+
+
+def given_sets(bench: Bench, given: Sequence[Values], field: str, diagnostics: Diagnostics) -> list[ParameterSet]:
+    """Returns parameter sets with a value for each parameter; adds notes. Raises InvalidInputError with each fault, by field and number."""
+    function = Function(bench.function, {"": bench.parameters}, {}, {}, bench.bundle.manifest.shapes)
+    sets = [free_values(each, function, field.format(number), diagnostics) for number, each in enumerate(given)]
+    diagnostics.raise_if_any()
+    return [ParameterSet.of(values) for values in sets]
+
+
+def stored_simulations(connection: Connection, bench: Bench, sets: Sequence[ParameterSet]) -> list[StoredCell]:
+    """Returns the stored simulations of sets in the bench's scenarios, by place, under the bench's seed.
+
+    Runs that were rated by another score only are rated from their measures, unless the score needs their time series.
+    """
+    ids = parameter_sets.ids(connection, [each.key for each in sets])
+    known = setups.ids(connection, [setup.fingerprint for setup in bench.setups.values()])
+    places: dict[int, list[int]] = {}
+    for place, each in enumerate(sets):
+        if each.key in ids:
+            places.setdefault(ids[each.key], []).append(place)
+    items = []
+    for scenario, setup in bench.setups.items():
+        if setup.fingerprint not in known:
+            continue
+        rated = runs.look_up_exact(connection, known[setup.fingerprint], list(places), bench.evaluator_id, sys.maxsize)
+        for run in runs.of_sets(connection, known[setup.fingerprint], list(places)):
+            answer: Donor | Rating | None = rated.get(run.parameter_set)
+            if answer is None and not bench.needs_series:
+                answer = bench.rate(scenario, run.metrics, run.failure)
+            if answer is not None:
+                about = {"scenario": scenario, "score": answer.score, "rating": answer.rating}
+                items += [StoredCell.of(run, set=place, **about) for place in places[run.parameter_set]]
+    return sorted(items, key=lambda item: item.set)

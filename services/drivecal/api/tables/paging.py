@@ -10,7 +10,7 @@ from pydantic import BaseModel
 
 from drivecal.api.http.queries import PARQUET, TableOf, form_of
 from drivecal.api.tables.selection import Keeps, Row, selection
-from drivecal.configuration.arrow import arrow_schema, arrow_table
+from drivecal.configuration.arrow import arrow_schema
 from drivecal.contracts.campaign import Page
 from drivecal.contracts.tables import Column, csv_text, file_row
 from drivecal.storage.engine.records import decode_cursor, encode_cursor
@@ -37,7 +37,7 @@ def csv_pieces(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> It
 
 
 def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iterator[bytes]:
-    from pyarrow import parquet  # takes a while and memory; most servers never write Parquet
+    from pyarrow import Table, parquet  # takes a while and memory; most servers never write Parquet
 
     schema = arrow_schema(columns)
     sink = io.BytesIO()
@@ -50,7 +50,7 @@ def _parquet(columns: Sequence[Column], pieces: Iterable[Sequence[Row]]) -> Iter
 
     with parquet.ParquetWriter(sink, schema) as writer:  # it counts by itself how much it has written
         for piece in pieces:
-            writer.write_table(arrow_table(schema, piece))
+            writer.write_table(Table.from_pylist(list(piece), schema=schema))
             yield taken()
     yield taken()
 
