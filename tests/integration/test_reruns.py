@@ -165,7 +165,6 @@ def _driven(setup: Setup, cell: Cell) -> CellResult:
     [
         ({}, CITY, ("city=9,road=1", None)),
         ({}, {"weights": {"road": 0}, "evaluator": "other"}, ("city=1,road=0", "other@mine")),
-        ({"objectives": [{"score": "cost"}]}, {"evaluator": "other"}, (None, None)),
         ({"weights": {"city": 0.7, "road": 0.1}}, {"weights": {"city": 7}, "optimizer": {"seed": 5}}, None),
         ({"reduction": {"isolated": True}}, CITY, None),
         ({"optimizer": None, "sensitivity": {"samples": 2}}, {"optimizer": OPTIMIZER}, None),
@@ -189,7 +188,7 @@ def test_a_rerun_of_populations_begins_with_the_best_stored_set(
 
 def test_a_default_search_of_another_push_begins_with_the_best_set_of_the_first(database: Database) -> None:
     store(database, MINE)
-    asked = SEARCH | {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 16}}
+    asked = SEARCH | {"optimizer": {"kind": "surrogate"}, "budget": {"simulations": 16}, "objectives": [{"score": "cost"}]}
     first = run(database, submit_checked(database, asked), ComputedBackend(driven=_driven))
     store(database, MINE | {"problem": "another"})
 
@@ -201,6 +200,7 @@ def test_a_default_search_of_another_push_begins_with_the_best_set_of_the_first(
     assert rerun(problem="mine").spec["optimizer"]["start_sets"] == [present(first.best).parameters]
     assert rerun(problem="mine", optimizer={"kind": "external"}).spec["optimizer"]["start_sets"] == []
     assert faulty_fields(rerun, problem="another") == ["problem"]
+    assert faulty_fields(rerun, evaluator="other") == ["evaluator"], "objectives keep the scores that they name"
 
 
 def test_a_rerun_of_another_push_begins_with_a_set_that_it_allows(database: Database) -> None:

@@ -105,6 +105,10 @@ def rerun(
         raise ConflictError(f"campaign {first_id} is {state_of(first)}; rerun it when it has ended, or cancel it first")
     document = _changed(first, used, changes)
     problem = checked(database, limits, validated(CampaignSpecification, document), again=True)
+    is_rated = problem.bench.evaluator is not None and _names_score(problem)  # else a formula, which objectives name
+    if changes.evaluator is not None and document.get("objectives") and not is_rated:
+        message = "it changes nothing for a campaign with `objectives`, which keep the scores that they name"
+        raise InvalidInputError(Problem("evaluator", message, "leave it out, or submit a campaign with other `objectives`"))
     names = [stored_bundles(database)(push).manifest.problem for push in (first.spec["problem"], problem.specification.problem)]
     if names[0] != names[1]:
         raise InvalidInputError(Problem("problem", f"the first campaign's is {names[0]}", f"push that, or submit {names[1]}"))
@@ -122,6 +126,10 @@ def rerun(
         return _queue(connection, limits, problem, asked, rerun_of=first.id)
 
 
+def _names_score(problem: CalibrationProblem) -> bool:
+    return SCORE in {goal.value.key for goal in (*problem.goals.objectives, *problem.goals.bounds)}
+
+
 def _best_before(database: Database, first: StoredCampaign, problem: CalibrationProblem) -> dict[str, Any] | None:
     """Returns the set of the first campaign that is the best in its rerun; None if the search knows all stored sets, as the default one
     does after an equal push, or is to know none, has no room for it, ranks sets as the first one did, or can rank none before it begins."""
@@ -136,7 +144,7 @@ def _best_before(database: Database, first: StoredCampaign, problem: Calibration
     if (is_scored and alike and first.spec["problem"] == wanted.problem) or not weights.keys() <= theirs.weights.keys():
         return None
     ranked: Sequence[EvaluatedSet] = ()
-    if is_scored or SCORE not in {goal.value.key for goal in (*problem.goals.objectives, *problem.goals.bounds)}:
+    if is_scored or not _names_score(problem):
         asked = replace(theirs, weights=weights, goals=problem.goals)
         ranked = StoredRanking(database, first, asked).sets.best_first()
     elif problem.goals.is_weighted_score:
@@ -275,7 +283,7 @@ def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: Re
         and is_default
         and (changes.reduction is None or "mode" not in changes.reduction.model_fields_set)
     ):
-        # the mode is a default, which objectives may forbid now: they keep the scores that they name
+        # the mode is a default, which constraints may forbid now: they keep the scores that they name
         document["reduction"] = {name: value for name, value in document["reduction"].items() if name != "mode"}
     if used is not None:
         document["sensitivity"] = {"map": used.id}
