@@ -142,13 +142,15 @@ class CheckedSet:
         yield from (("", each) for each in self.evaluations.values())
 
     @property
-    def beside_baseline(self) -> dict[str, float]:
-        """The baseline's mean score, and the gain over it as `gain` has it; empty without both means."""
-        before = next(iter(self.baseline.values()), None)
-        if before is None or before.objective is None or self.first.objective is None:
-            return {}
-        gain = self.gain(next(iter(self.evaluations)), self.first.items, before.items)
-        return dict(zip(("baseline", "gain", "gain_lower", "gain_upper"), (before.objective, *gain), strict=False))
+    def beside_baseline(self) -> dict[str, dict[str, float]]:
+        """By score, the mean of the set, that of the baseline, and the gain over it as `gain` has it; only scores with both means."""
+        compared = {}
+        for score, before in self.baseline.items():
+            each = self.evaluations[score]
+            if each.objective is not None and before.objective is not None:
+                known = each.objective, before.objective, *self.gain(score, each.items, before.items)
+                compared[score] = dict(zip(("mean", "baseline", "gain", "gain_lower", "gain_upper"), known, strict=False))
+        return compared
 
     def gain(self, score: str, cells: Sequence[EvaluatedCell], before: Sequence[EvaluatedCell]) -> list[float]:
         """Returns the mean gain over the baseline, and with several seeds its 95 % interval, without what a seed does to both."""
@@ -276,7 +278,8 @@ def check(
     own_limits, unchecked = _of_campaign(spec, known, () if isinstance(listed, str) else listed, rates=seeds is not None)
     _refuse_unknown(wanted, known, () if isinstance(listed, str) else listed, has_baseline=baseline is not None)
     wanted = [*own_limits, *wanted]
-    evaluators = _evaluators(known, spec.get("evaluator"), wanted)
+    aims = [aim["score"] for aim in spec.get("objectives") or () if aim.get("score") in known.scores]
+    evaluators = _evaluators(known, spec.get("evaluator"), [*(limit.score for limit in wanted), *aims])
     own = parameters if spec and problem is None else known.parameters  # a driving function has its own
     wait = partial(ended, client, timeout=timeout, waiting=pauses(SECONDS_BETWEEN_QUESTIONS, timeout))
     compared: dict[str, Evaluation] = {}
@@ -301,12 +304,11 @@ def check(
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
         if within := within_text(checked.first.lower, checked.first.upper):
             typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
-        if beside := checked.beside_baseline:
+        for score, beside in checked.beside_baseline.items():
             within = within_text(beside.get("gain_lower"), beside.get("gain_upper"))
             paired = f"{beside['gain']:.4g}{within and f'{within} by equal seeds'}"
-            typer.echo(
-                f"mean score of the baseline: {score_text(beside['baseline'])}; gain over it, below 0 for a loss: {paired}"
-            )
+            means = f"mean {score} {score_text(beside['mean'])}, of the baseline {score_text(beside['baseline'])}"
+            typer.echo(f"{means}; gain over it, below 0 for a loss: {paired}")
         if findings:
             tried = "; ".join(dict.fromkeys(finding.limit for finding in findings))
             typer.echo(f"kept in {len(findings) - len(broken)} of {len(findings)} places: {tried}")
@@ -439,7 +441,7 @@ def _refuse_unknown(limits: Sequence[SetLimit], problem: ProblemAnswer, known: C
         raise InvalidInputError(*faults)
 
 
-def _evaluators(problem: ProblemAnswer, chosen: str | None, limits: Sequence[SetLimit]) -> dict[str, str]:
+def _evaluators(problem: ProblemAnswer, chosen: str | None, further: Sequence[str | None]) -> dict[str, str]:
     """Returns the evaluators of the scores to check by score. `chosen` by a campaign, which comes first: a score, or an
     installed evaluator of the first score that has one; None for a file."""
     first = next(iter(problem.scores))
@@ -449,7 +451,7 @@ def _evaluators(problem: ProblemAnswer, chosen: str | None, limits: Sequence[Set
         chosen = first
     else:
         first = next((name for name, entry in problem.scores.items() if entry["evaluator"] is not None), first)
-    return {first: chosen} | {limit.score: limit.score for limit in limits if limit.score not in {None, first}}
+    return {first: chosen} | {score: score for score in further if score is not None and score != first}
 
 
 def _values(parameters: Parameters, names: Collection[str], shapes: Mapping[str, ShapeAnswer]) -> Parameters:
@@ -503,11 +505,13 @@ def _rows(checked: CheckedSet, findings: Sequence[Finding], unsure: str = " (uns
 
 
 def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any]:
+    beside = checked.beside_baseline
     return {
         "passed": all(finding.broken is None for finding in findings),
         "notes": checked.notes,
         **{name: getattr(checked.first, name) for name in ("objective", *INTERVAL)},
-        **checked.beside_baseline,
+        **{name: value for name, value in next(iter(beside.values()), {}).items() if name != "mean"},
+        "beside_baseline": beside,
         "scenarios": list(_rows(checked, findings, "")),
         "findings": [asdict(finding) for finding in findings],
     }

@@ -262,7 +262,7 @@ def _whole_or_not_at_all(path: Path) -> Iterator[BinaryIO]:
             written.unlink(missing_ok=True)
 
 
-TABLES: tuple[TableName, ...] = ("generations", "solutions", "influence", "robustness", "validation")
+TABLES: tuple[TableName, ...] = ("generations", "solutions", "front", "influence", "robustness", "validation")
 """Tables of a report."""
 
 
