@@ -78,10 +78,9 @@ class BesideBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A set that was chosen. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a reference's
-    score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`: every
-    objective and constraint has a value. `is_random`: other seeds give other values. `bounded`: as of `Evidence`. `failures` and
-    `failure_interval` as in `Best`."""
+    """A set that was chosen, by its id. `compared` has the objectives that the baseline has as well. `copied` has the scenarios with a
+    reference's score, and `failed` the scenarios, of `scenarios` in all, where each of its runs failed. Violations are shares. `is_judged`:
+    every objective and constraint has a value. `bounded`: as of `Evidence`. `failures` and `failure_interval` as in `Best`."""
 
     parameters: Mapping[str, float | str]
     compared: Sequence[BesideBaseline] = ()
@@ -90,12 +89,12 @@ class Chosen:
     undecided: bool = False
     baseline_violation: float = 0.0
     is_judged: bool = True
-    is_random: bool = False
     failed: Sequence[str] = ()
     scenarios: int = 1
     bounded: Sequence[str] = ()
     failures: int = 0
     failure_interval: tuple[float, float] | None = None
+    parameter_set: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,13 +119,15 @@ class SearchCourse:
 class Compromises:
     """The front of several objectives. `dominating`: sets that are better than the baseline in an objective and worse in none, None without
     an evaluated one. `is_close`: runs do not tell the baseline from them. `copied`: sets with a score of a reference. `late`: sets that the
-    second half of the rounds found."""
+    second half of the rounds found. `failing`: sets with nothing but failed runs in a scenario, one of `failed`."""
 
     size: int
     dominating: int | None
     is_close: bool = False
     copied: int = 0
     late: int = 0
+    failing: int = 0
+    failed: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +141,8 @@ class Evidence:
     front: Compromises | None = None
     chosen: Chosen | None = None
     bounded: Sequence[str] = ()
+    at_worst: Sequence[str] = ()
+    """Scores by scenario that count as a failed run's, though the runs of the judged sets did not fail."""
     has_failures: bool = False
     """Runs failed, of whichever set."""
     is_random: bool = False
@@ -170,7 +173,7 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_predictions(campaign, _newest(known.studies, of_predictions=True)),
         *_noise(campaign),
         *_failures(campaign, known),
-        *_cut(campaign),
+        *_cut(campaign, known),
         *_robustness(campaign, known.studies),
     ]
     verdicts.sort(key=lambda each: _ORDER.index(each.light))
@@ -195,15 +198,12 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
     if chosen is not None:
         if not chosen.is_judged and not CampaignState(campaign.state).ended:
             return  # its cells may still be answered
-        yield from _chosen(campaign, chosen, search)
-        yield from _course(campaign, search, is_random=known.is_random)
+        yield from _chosen(campaign, chosen, known)
     elif front is not None:
-        yield from (*_constraints(campaign, known, " by the first objective"), *_front(campaign, front))
-        yield from _seen(campaign, search)
+        yield from (*_constraints(campaign, known), *_front(campaign, front))
     else:
-        yield from _constraints(campaign, known)
-        yield from (*_confirmation(campaign), *_baseline(campaign, known))
-        yield from _course(campaign, search, is_random=known.is_random)
+        yield from (*_constraints(campaign, known), *_confirmation(campaign), *_baseline(campaign, known))
+    yield from _course(campaign, search, is_random=known.is_random)
     if front is not None and front.size and campaign.ended_by not in {None, "cancelled", "failed"}:
         light: Light | Literal["neutral"] = "neutral" if known.is_random else "amber" if front.late else "green"
         code = "front_grew" if front.late else "front_stood"
@@ -212,18 +212,12 @@ def _result(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         yield from _at_ends(f"the best set{' by the first objective' if front else ''}", campaign.best, search)
 
 
-def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
+def _chosen(campaign: Campaign, chosen: Chosen, known: Evidence) -> Iterator[ResultVerdict]:
     """Yields constraints, origin of the scores, baseline, and values at an end of their range."""
     if not chosen.is_judged:
         yield verdict("not_judged", "red")
         return
-    bounded, (kept, broken) = list(chosen.bounded), _lights(campaign, is_random=chosen.is_random)
-    if chosen.undecided:
-        yield verdict("constraints_undecided", "amber", subject="the chosen set", bounded=bounded)
-    elif chosen.violation > 0:
-        yield verdict("constraints_broken", broken, subject="The chosen set", share=chosen.violation, bounded=bounded)
-    elif bounded:
-        yield verdict("constraints_kept", kept, subject="The chosen set", bounded=bounded)
+    yield from _constraints(campaign, known)
     yield from _failing("the chosen set", chosen.failed, chosen.scenarios)
     if chosen.copied:
         yield verdict("scores_copied", "amber", scenarios=list(chosen.copied))
@@ -234,7 +228,7 @@ def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> 
     elif chosen.compared:
         counted = [each.gain for each in chosen.compared if not each.is_alike]
         light: Light | Literal["neutral"] = "amber"
-        if chosen.is_random:
+        if known.is_random:
             light = "neutral"  # means of different seeds tell too little
         elif counted:
             light = "green" if min(counted) > 0 else "amber"
@@ -243,7 +237,7 @@ def _chosen(campaign: Campaign, chosen: Chosen, search: SearchCourse | None) -> 
         fields = ("name", "value", "baseline", "unit", "gain", "tolerance")
         objectives = [{name: getattr(each, name) for name in fields} for each in chosen.compared]
         yield verdict("beside_baseline", light, objectives=objectives)
-    yield from _at_ends("the chosen set", chosen, search)
+    yield from _at_ends("the chosen set", chosen, known.search)
 
 
 def _at_ends(subject: str, judged: Best | Chosen, search: SearchCourse | None) -> Iterator[ResultVerdict]:
@@ -263,6 +257,7 @@ def _at_ends(subject: str, judged: Best | Chosen, search: SearchCourse | None) -
 def _front(campaign: Campaign, front: Compromises) -> Iterator[ResultVerdict]:
     if campaign.best is None or not front.size:
         return
+    yield from _failing(f"{front.failing:,} of {front.size:,} sets of the front", front.failed)
     if campaign.confirmation is not None:
         yield confirmation_verdict(campaign.confirmation)
     elif front.copied:
@@ -297,24 +292,26 @@ def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["ne
     return "neutral", "red" if exact else "amber"  # an exact one may be broken
 
 
-def _constraints(campaign: Campaign, known: Evidence, best_by: str = "") -> Iterator[ResultVerdict]:
-    """Yields whether the best set keeps its constraints, and its failed runs."""
-    if campaign.best is None:
+def _constraints(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
+    """Yields whether the chosen set, else the best one, keeps its constraints."""
+    judged, subject = known.chosen or campaign.best, "the best set" if known.chosen is None else "the chosen set"
+    if judged is None:
         return
-    bounded, (kept, broken) = list(known.bounded), _lights(campaign, is_random=known.is_random)
-    if campaign.best.undecided:
-        yield verdict("constraints_undecided", "amber", subject="the best set", bounded=bounded)
-    elif campaign.best.violation > 0 and campaign.best.replicates > 1:  # of others, fewer runs may look as if they kept them
-        subject = "By its runs, the best set"
-        yield verdict("constraints_broken", broken, subject=subject, share=campaign.best.violation, bounded=bounded)
-    elif campaign.best.violation > 0:
-        yield verdict("no_set_keeps_constraints", broken, share=campaign.best.violation, bounded=bounded)
+    bounded = list((known.chosen or known).bounded)
+    kept, broken = _lights(campaign, is_random=known.is_random)
+    if judged.undecided:
+        yield verdict("constraints_undecided", "amber", subject=subject, bounded=bounded)
+    elif judged.violation > 0 and isinstance(judged, Best) and judged.replicates == 1:
+        yield verdict("no_set_keeps_constraints", broken, share=judged.violation, bounded=bounded)
+    elif judged.violation > 0:  # of sets with fewer runs, these may look as if they kept them
+        broke = f"By its runs, {subject}" if known.chosen is None else subject.capitalize()
+        yield verdict("constraints_broken", broken, subject=broke, share=judged.violation, bounded=bounded)
     elif bounded:
-        yield verdict("constraints_kept", kept, subject=f"The best set{best_by}", bounded=bounded)
-    yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
+        by = " by the first objective" if known.front is not None and known.chosen is None else ""
+        yield verdict("constraints_kept", kept, subject=subject.capitalize() + by, bounded=bounded)
 
 
-def _failing(subject: str, failed: Sequence[str], scenarios: int) -> Iterator[ResultVerdict]:
+def _failing(subject: str, failed: Sequence[str], scenarios: int = 0) -> Iterator[ResultVerdict]:
     if failed:
         yield verdict("fails", "red" if len(failed) == scenarios else "amber", subject=subject, scenarios=list(failed))
 
@@ -323,6 +320,7 @@ def _confirmation(campaign: Campaign) -> Iterator[ResultVerdict]:
     state = CampaignState(campaign.state)
     if campaign.best is None:
         return
+    yield from _failing("the best set", campaign.best.failed, len(campaign.best.scores))
     if campaign.confirmation is not None:
         yield confirmation_verdict(campaign.confirmation)
     elif campaign.cells.reused and _setting(campaign, "confirm") == 0:
@@ -556,14 +554,17 @@ def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
             yield verdict(code, "amber" if share > FEW else "neutral", count=count, requested=cells.requested, share=share)
 
 
-def _cut(campaign: Campaign) -> Iterator[ResultVerdict]:
-    """Yields the verdict on scores that were cut off at the worth of a failed run."""
+def _cut(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
+    """Yields the verdicts on scores that were cut off at the worth of a failed run."""
     cut, requested = (sum(getattr(cells, name) for cells in campaign.stages.values()) for name in ("cut", "requested"))
-    if not cut:
-        return
-    best, failed = {} if campaign.best is None else campaign.best.scores, campaign.scale.failed
-    share, at_end = cut / max(1, requested), [name for name, score in best.items() if score == failed]
-    yield verdict("cut", "amber" if at_end or share > FEW else "neutral", count=cut, share=share, failed=failed, best=at_end)
+    if known.at_worst:
+        subject = (
+            "the chosen set" if known.chosen is not None else "the best set" if known.front is None else "the front's sets"
+        )
+        yield verdict("at_worst", "amber", subject=subject, values=list(known.at_worst))
+    if cut:
+        share = cut / max(1, requested)
+        yield verdict("cut", "amber" if share > FEW else "neutral", count=cut, share=share)
 
 
 def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:

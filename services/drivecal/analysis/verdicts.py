@@ -59,9 +59,10 @@ SCORES = CONFIRMED | {
     "failing_runs": "Failed runs of {subject}: {failures:,}; up to {most:.1 %} of further runs may fail (95 %).",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
-    "cut": "{count:n score} ({share:.1 %} of the cells) are worse than {failed:g} and count as it{best:in best}: "
+    "cut": "{count:n score} ({share:.1 %} of the cells) are worse than the worth of a failed run and count as it: "
     + REMEDY
     + ".",
+    "at_worst": "Runs of {subject} did not fail, but count as failed ones, whatever they are: {values:list}; " + REMEDY + ".",
     "robust": "The recommended set keeps its scores, within the study's limit, in the vehicles of the study that differ by up to "
     "{least}{radius:.1 %} of the ranges{failing}{unseen}.",
     "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1 %} of the "
@@ -206,7 +207,6 @@ _FORMATS: Mapping[str, Any] = {
     "after": lambda texts: f": {'; '.join(texts)}" if texts else "",
     "shares": lambda rates: _joined([f"{100 * rate:.1f} % in {scenario}" for scenario, rate in rates.items()]),
     "counts": lambda counts: _joined([f"{count:,} in {scenario}" for scenario, count in counts.items()]),
-    "in best": lambda scenarios: f", as the best set does in {', '.join(scenarios)}" if scenarios else "",
     "compared": _compared,
     "ends": _ends,
     "entries": lambda texts: f": change {_joined(texts)} in `problem.yaml`, push it, and submit again" if texts else "",

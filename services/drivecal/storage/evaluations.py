@@ -17,6 +17,7 @@ from sqlalchemy import (
     cast,
     func,
     select,
+    true,
     type_coerce,
     update,
 )
@@ -284,13 +285,14 @@ class ScoredRun:
     example: int
 
 
-def scored(connection: Connection, campaign_sequence: int, score: float, most: int) -> list[ScoredRun]:
-    """Returns at most `most` runs without a failure that answered cells with this score, in the order of the cells."""
+def scored(connection: Connection, campaign_sequence: int, score: float | None, most: int) -> list[ScoredRun]:
+    """Returns at most `most` runs without a failure that answered cells, in the order of the cells; `score`: cells with this one alone."""
     cell = evaluations.c
     query = (
         select(cell.scenario, runs.c.metrics, func.count(), func.min(cell.id))
         .join(runs, runs.c.id == cell.run_id)
-        .where(cell.campaign_sequence == campaign_sequence, cell.score == score, cell.failure.is_(None))
+        .where(cell.campaign_sequence == campaign_sequence, cell.failure.is_(None))
+        .where(true() if score is None else cell.score == score)
         .group_by(cell.scenario, runs.c.id)
         .order_by(func.min(cell.id))
     )

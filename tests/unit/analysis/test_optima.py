@@ -10,7 +10,7 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from tests.support.effort import examples
 
 from drivecal.analysis.optima import one_per_region_first, regions
-from drivecal.campaigns.results.optima import regions_of
+from drivecal.campaigns.results.front import regions_of
 from drivecal.domain.parameters import Parameter, ParameterSpace
 
 
@@ -43,4 +43,4 @@ def test_another_choice_is_the_whole_range_away_wherever_it_is_listed(choices: s
     )
     grid = [(5, choices.index("a")), (5, choices.index("b")), (6, choices.index("a"))]
     sets = [space.parameter_set(row) for row in grid]
-    assert regions_of(space, sets).tolist() == [0, 1, 0]
+    assert regions_of(space, sets) == [0, 1, 0]

@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from math import prod
@@ -10,7 +10,7 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import Objective
+from drivecal.analysis.goals import SCORE, Objective
 from drivecal.analysis.replicates import rate_bounds
 from drivecal.analysis.savings import MapOrigin, account
 from drivecal.analysis.trust import BesideBaseline, Chosen, Compromises, Evidence, SearchCourse, trust
@@ -24,7 +24,6 @@ from drivecal.campaigns.resolve.spaces import Function
 from drivecal.campaigns.resolve.workbench import bundles_of, find_workbench
 from drivecal.campaigns.results.failures import causes_of
 from drivecal.campaigns.results.front import CampaignFront, StoredRanking, front_of
-from drivecal.campaigns.results.optima import best_regions
 from drivecal.contracts.assignments import value_text
 from drivecal.contracts.campaign import Study
 from drivecal.contracts.evaluation import FailureCause
@@ -151,17 +150,37 @@ def _trust(
         is_random = evaluations.are_seeded(connection, campaign.sequence)
     noise = stored.sets.by_objective()[1] if is_random and campaign.state.ended else []
     if search is not None and search.course and campaign.best is not None and campaign.best.alternatives > 1:
-        regions = best_regions(stored.database, stored.sets.best_first(), stored.resolved.space)
-        search = replace(search, regions=len(set(regions.tolist())))
-    amounts = {} if campaign.best is None else campaign.best.constraints
-    goals = stored.resolved.goals if amounts else None
-    seeds = 1 if campaign.best is None else campaign.best.replicates
-    bounded = [] if goals is None else bounded_texts(goals, (amounts[name] for name in goals.bound_names), seeds)
+        search = replace(search, regions=stored.best_regions())
+    best, goals, bounded = campaign.best, stored.resolved.goals, list[str]()
+    if best is not None and best.constraints:
+        bounded = bounded_texts(goals, (best.constraints[name] for name in goals.bound_names), best.replicates)
     unknown = is_random and campaign.state.ended and not (noise and all(each.is_known for each in noise))
     compromises = _compromises(stored, front)
     has_failures = any(cause.kind == "failed" for cause in causes)
-    known = Evidence(made, search, compromises, chosen, bounded, has_failures, is_random, unknown)
+    at_worst = _at_worst(stored, front, chosen)
+    known = Evidence(made, search, compromises, chosen, bounded, at_worst, has_failures, is_random, unknown)
     return trust(campaign_answer(campaign, now(), silent=None), known)
+
+
+def _at_worst(stored: StoredRanking, front: CampaignFront | None, chosen: Chosen | None) -> list[str]:
+    """Returns the scores by scenario that count as a failed run's, though the runs of the judged sets did not fail."""
+    goals, best = stored.resolved.goals, stored.sets.best() if stored.campaign.cells.cut else None
+    if best is None:
+        return []
+    judged: Collection[int] = {best[0].parameter_set}
+    if chosen is not None:
+        judged = {chosen.parameter_set}
+    elif front is not None and len(goals.objectives) > 1:
+        judged = front.ranks.keys()
+    scales = {goal.value.key: goal.value.scale for goal in (*goals.objectives, *goals.bounds) if goal.value.scale is not None}
+    worst: dict[tuple[str, str], set[int]] = {}
+    for cell in stored.answers:
+        if cell.parameter_set in judged and not cell.failed:
+            for key, scale in scales.items():
+                if (cell.score if key == SCORE else cell.values.get(key)) == scale.failed:
+                    worst.setdefault((scale.name, cell.scenario), set()).add(cell.parameter_set)
+    of = f" of {len(judged):,} sets" if len(judged) > 1 else ""
+    return [f"{name} in {scenario}{of and f' ({len(sets):,}{of})'}" for (name, scenario), sets in worst.items()]
 
 
 def _compromises(stored: StoredRanking, front: CampaignFront | None) -> Compromises | None:
@@ -178,6 +197,8 @@ def _compromises(stored: StoredRanking, front: CampaignFront | None) -> Compromi
         None if baseline is None else front.dominating(baseline),
         is_close=baseline is not None and baseline.parameter_set in front.unbeaten,
         copied=sum(bool(member.solution.reused) for member in front.members),
+        failing=sum(bool(member.solution.failed) for member in front.members),
+        failed=list(dict.fromkeys(scenario for member in front.members for scenario in member.solution.failed)),
         late=sum(2 * member.solution.iteration > last for member in front.members),
     )
 
@@ -188,7 +209,6 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
     campaign, scenario, baseline = front.stored.campaign, next(iter(front.goals.objectives[0].shares)), front.baseline
     with front.stored.database.read() as connection:
         cell = results.by_id(connection, next(iter(results.cells_at(connection, campaign.sequence, *place, scenario).values())))
-        is_random = evaluations.are_seeded(connection, campaign.sequence)
     parameters = cell.parameters.floats
     judged = next((each for each in front.ranked if each.parameter_set == cell.parameter_set_id), None)
     if judged is None:
@@ -206,6 +226,7 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
         ]
     return Chosen(
         parameters=parameters,
+        parameter_set=number,
         compared=compared,
         copied=judged.reused,
         failed=judged.failed,
@@ -216,7 +237,6 @@ def set_at(front: CampaignFront, place: tuple[int, int]) -> Chosen:
         violation=judged.violation,
         undecided=judged.is_undecided,
         baseline_violation=0.0 if baseline is None or baseline.is_undecided else baseline.violation,
-        is_random=is_random,
     )
 
 

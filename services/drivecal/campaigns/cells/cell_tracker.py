@@ -12,7 +12,8 @@ from typing import Any
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.scoring import cut_text
+from drivecal.analysis.scoring import cut_text, rate
+from drivecal.bundles.expressions import Formula
 from drivecal.campaigns.cells.inspection import Inspection
 from drivecal.campaigns.cells.planning import View, ensure_setups
 from drivecal.campaigns.resolve.bench import Bench
@@ -31,34 +32,38 @@ from drivecal.storage.results import StoredEvaluation
 
 
 class ScoreFaults:
-    """Counts them as `unscored` and `cut` among the `counts` of a stage."""
+    """Counts runs without a value of a score as `unscored`, and scores that were cut off as `cut`, among the `counts` of a stage: of the
+    campaign's score, and of the others among its objectives and constraints."""
 
-    def __init__(self, bench: Bench, counts: MutableMapping[str, int]) -> None:
-        self._bench, self._counts = bench, counts
+    def __init__(self, view: View, counts: MutableMapping[str, int]) -> None:
+        self._bench, self._counts = view.bench, counts
+        self._others = [(each.scale, Formula(each.formula)) for each in view.scores if each.scale and each.formula]
         self.undefined: str | None = None
         """Reason why the first such score has no value; None before."""
         self.cut: str | None = None
         """Scenario and true value of the first score that was cut off; None before."""
 
-    def note(self, scenario: str, rated: Rating) -> None:
-        """Takes the rating of a run."""
-        scale = self._bench.scale
-        self._counts["unscored"] += rated.undefined is not None
-        self.undefined = self.undefined or rated.undefined
-        if rated.cut is not None:
-            self._counts["cut"] += 1
-            self.cut = self.cut or cut_text(scenario, scale.name, rated.cut, scale.failed)
+    def note(self, scenario: str, rated: Rating | None, measures: Mapping[str, float | None], failure: str | None) -> None:
+        """Takes a run with its rating by the campaign's score, None if that has no fault."""
+        known = {name: value for name, value in measures.items() if value is not None}
+        others = [(scale, rate(formula, scale, known, failure)) for scale, formula in self._others]
+        ratings = [(scale, each) for scale, each in ((self._bench.scale, rated), *others) if each is not None]
+        undefined = next((each.undefined for _, each in ratings if each.undefined is not None), None)
+        self._counts["unscored"] += undefined is not None
+        self.undefined = self.undefined or undefined
+        for scale, each in ratings:
+            if each.cut is not None:
+                self._counts["cut"] += 1
+                self.cut = self.cut or cut_text(scenario, scale.name, each.cut, scale.failed)
 
     def note_stored(self, connection: Connection, stored: Sequence[tuple[str, Donor]]) -> None:
-        """Takes answers of stored runs, by scenario. Those with the worst score are rated again: only the formula knows what they are."""
-        worst = [(scenario, row) for scenario, row in stored if row.failure is None and row.score == self._bench.scale.failed]
-        if self._bench.evaluator is not None or not worst:
-            return
-        measures = runs.values_of(connection, {donor.run for _, donor in worst})
-        for scenario, donor in worst:
-            rated = self._bench.rate(scenario, measures[donor.run][0], None)
-            if rated is not None:
-                self.note(scenario, rated)
+        """Takes answers of stored runs, by scenario. Only formulas know which have faults: runs that may have some are rated again."""
+        worst = None if self._bench.evaluator is not None else self._bench.scale.failed
+        doubtful = [each for each in stored if each[1].failure is None and (self._others or each[1].score == worst)]
+        measures = runs.values_of(connection, {donor.run for _, donor in doubtful})
+        for scenario, donor in doubtful:
+            rated = self._bench.rate(scenario, measures[donor.run][0], None) if donor.score == worst else None
+            self.note(scenario, rated, measures[donor.run][0], None)
 
 
 LONGEST_DETAIL = 2_000
@@ -95,7 +100,7 @@ class CellTracker:
         """Changes with every request and answer."""
         self._counts_starts = False
         """True until the budget includes the cells without an answer."""
-        self.faults = ScoreFaults(view.bench, self._counts)
+        self.faults = ScoreFaults(view, self._counts)
         self.broken: str | None = None
         """Scenario, cause, number and parameter set of the first cell without a result; None before."""
 
@@ -291,7 +296,7 @@ class CellTracker:
         rated = None if result.breakdown is not None else self._view.bench.rate_result(cell.scenario, result)
         if rated is None:
             return None
-        self.faults.note(cell.scenario, rated)
+        self.faults.note(cell.scenario, rated, result.metrics, result.failure)
         return Rating(float(rated.rating), plain(rated.score))
 
     def _simulated(self, cell: StoredEvaluation, completion: Completed, rating: Rating, run: StoredRun) -> list[AnsweredCell]:

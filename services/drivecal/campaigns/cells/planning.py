@@ -8,6 +8,7 @@ from functools import cached_property, partial
 
 from sqlalchemy import Connection
 
+from drivecal.analysis.goals import CellValue
 from drivecal.campaigns.cells.earlier import EarlierVersion, answers_of
 from drivecal.campaigns.resolve.bench import Bench
 from drivecal.contracts.specification import ReductionSpecification
@@ -45,6 +46,8 @@ class View:
     """Number of the campaign."""
     watermark: int
     bench: Bench
+    scores: Sequence[CellValue] = ()
+    """Scores of objectives and constraints that cells do not store."""
     isolated: bool = False
     """Runs that others share with it count in its budget, so that its end does not depend on them."""
     influence_map: InfluenceMap | None = None

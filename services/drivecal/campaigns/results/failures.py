@@ -46,24 +46,24 @@ def _reported(connection: Connection, campaign_sequence: int) -> list[FailureCau
 
 
 def _undefined(connection: Connection, campaign: StoredCampaign) -> list[FailureCause]:
-    """Rates the runs with the worth of a failed run again, because only the formula knows which of them have no value."""
-    spec = campaign.spec
-    if campaign.resolution is None:
+    """Rates runs again, because only the formulas know which of them have no value: if the campaign has no other score among its goals,
+    runs with the worth of a failed run alone."""
+    if campaign.resolution is None or not any(cells.get("unscored") for cells in campaign.stages.values()):
         return []
-    scale = resolved_spec(campaign).scale
-    text = bundles_of(connection)(spec["problem"]).manifest.scores[scale.name].formula
-    if text is None:
-        return []
-    formula = Formula(text)
-    rated = (
-        (run, rate(formula, scale, {name: value for name, value in run.metrics.items() if value is not None}, None))
-        for run in evaluations.scored(connection, campaign.sequence, scale.failed, MOST_GROUPS)
-    )
-    return [
-        FailureCause(kind="unscored", cause=rating.undefined, scenarios=[run.scenario], cells=run.cells, example=run.example)
-        for run, rating in rated
-        if rating is not None and rating.undefined is not None
-    ]
+    resolved = resolved_spec(campaign)
+    own, others = resolved.scale, resolved.goals.computed.values()
+    texts = [(own, bundles_of(connection)(campaign.spec["problem"]).manifest.scores[own.name].formula)]
+    texts += [(value.scale, value.formula) for value in others if value.scale is not None]
+    formulas = [(scale, Formula(text)) for scale, text in texts if text is not None]
+    causes = []
+    for run in evaluations.scored(connection, campaign.sequence, None if len(texts) > 1 else own.failed, MOST_GROUPS):
+        known = {name: value for name, value in run.metrics.items() if value is not None}
+        ratings = (rate(formula, scale, known, None) for scale, formula in formulas)
+        cause = next((each.undefined for each in ratings if each is not None and each.undefined is not None), None)
+        if cause is not None:
+            place = {"scenarios": [run.scenario], "cells": run.cells, "example": run.example}
+            causes.append(FailureCause(kind="unscored", cause=cause, **place))
+    return causes
 
 
 def _merged(causes: Iterable[FailureCause]) -> list[FailureCause]:

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, takewhile
 from operator import attrgetter
 
 import numpy as np
@@ -11,16 +11,21 @@ import numpy as np
 from drivecal.analysis import replicates
 from drivecal.analysis.front import WinningWeights, by_weights, extremes, knee, non_dominated, winning_weights
 from drivecal.analysis.goals import Goals
+from drivecal.analysis.optima import regions
 from drivecal.analysis.solutions import EvaluatedSet, FrontMember, Ranking
 from drivecal.campaigns.resolve.resolved_spec import ResolvedSpec, resolved_spec
 from drivecal.domain.campaigns import StageName
 from drivecal.domain.evaluations import CellScore, Outcome
+from drivecal.domain.parameters import ParameterSet, ParameterSpace
 from drivecal.plugins.ports import Floats
+from drivecal.reduction.prediction import FeatureSpace
 from drivecal.storage import results
 from drivecal.storage.campaigns import StoredCampaign
 from drivecal.storage.engine.database import Database
 from drivecal.storage.references import parameter_sets
 
+MOST_BEST = 10_000
+"""Largest number of best sets to compare, best rated first: the work grows with its square."""
 _COPIED = {Outcome.REUSED, Outcome.PREDICTED, Outcome.FAILED}
 
 
@@ -60,6 +65,13 @@ class StoredRanking:
         ranking = Ranking(self.resolved.weights, self.resolved.goals, self.resolved.replicates)
         ranking.add(self.answers)
         return ranking
+
+    def best_regions(self) -> int:
+        """Returns the number of regions of the first sets that share the best objective: at most MOST_BEST."""
+        ranking = self.sets.best_first()
+        best = takewhile(lambda each: each.choice.equals(ranking[0].choice), ranking[:MOST_BEST])
+        sets = self.database.query(parameter_sets.load, [each.parameter_set for each in best])
+        return len(set(regions_of(self.resolved.space, list(sets.values()))))
 
     def under(self, resolved: ResolvedSpec) -> "StoredRanking":
         """Returns the ranking of the same answers by other weights, or for a variant: goals that need no other values of runs."""
@@ -179,6 +191,18 @@ def front_of(stored: StoredRanking) -> CampaignFront:
     rivals = {each.parameter_set for each in front.ranked if each.violation <= least or each.is_undecided} - front.ranks.keys()
     unbeaten = frozenset(np.array(numbers)[replicates.unbeaten(known, places, confidence)].tolist())
     return replace(front, uncertainty=uncertainty, close=len(unbeaten & rivals), unbeaten=unbeaten)
+
+
+def regions_of(space: ParameterSpace, sets: Sequence[ParameterSet]) -> list[int]:
+    """Returns the region of each set: root mean squares of differences are shares of the ranges, and another choice is a whole range
+    away."""
+    columns = FeatureSpace(space)(sets).T
+    parts = [
+        np.sqrt(0.5) * (column == np.unique(column)[:, np.newaxis]) if parameter.choices else column[np.newaxis]
+        for parameter, column in zip(space.searched, columns, strict=True)
+    ]
+    points = np.concatenate(parts).T
+    return list(map(int, regions(points * np.sqrt(points.shape[1] / len(columns)))))  # distances are means over columns
 
 
 def answers_of(stored: StoredRanking, sets: Sequence[EvaluatedSet]) -> dict[int, dict[str, str]]:

@@ -151,7 +151,8 @@ def stages_of(database: Database, campaign: StoredCampaign, problem: Calibration
     """
     seed = 0 if problem.optimization is None else problem.optimization.seed
     isolated = problem.specification.reduction.isolated
-    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, isolated, workers=workers, seed=seed)
+    scores = [value for value in problem.goals.computed.values() if value.scale is not None]
+    view = View(campaign.sequence, campaign.watermark or 0, problem.bench, scores, isolated, workers=workers, seed=seed)
     rate_stored_runs(database, view)
     view, claims = _with_claims(database, view, problem)
     # what was known of the map when the campaign was submitted

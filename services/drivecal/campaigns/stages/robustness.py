@@ -13,8 +13,7 @@ from drivecal.analysis.solutions import EvaluatedSet, Ranking
 from drivecal.campaigns.cells.planning import View
 from drivecal.campaigns.resolve.problem import CalibrationProblem
 from drivecal.campaigns.resolve.resolved_spec import resolved_spec
-from drivecal.campaigns.results.front import StoredRanking
-from drivecal.campaigns.results.optima import MOST_BEST, regions_of
+from drivecal.campaigns.results.front import MOST_BEST, StoredRanking, regions_of
 from drivecal.campaigns.stages.replication import SeededBenches
 from drivecal.campaigns.stages.stage import Round, StudyStage, ended_source, exact_policy
 from drivecal.domain.campaigns import StageName
@@ -105,7 +104,7 @@ class RobustnessStage(StudyStage):
         sets = self._database.query(parameter_sets.load, best)
         named = list(self._problem.robust_sets)
         listed = named + [sets[number] for number in best if sets[number] not in named]
-        regions = regions_of(self._problem.space, listed).tolist() if listed else []
+        regions = regions_of(self._problem.space, listed) if listed else []
         chosen = one_per_region_first(regions[len(named) :], self._wanted.solutions)
         places = (*range(len(named)), *(len(named) + place for place in chosen))
         return [Examined(listed[place], regions[place]) for place in places]
