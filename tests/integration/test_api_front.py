@@ -47,10 +47,8 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Ended]:
 
 
 def rows_of(ended: Ended, campaign: str, **query: Any) -> list[dict[str, Any]]:
-    answer = ended.api.http.get(f"/api/v1/campaigns/{campaign}/front", params=query)
-    assert answer.status_code == 200, answer.text
-    items: list[dict[str, Any]] = answer.json()["items"]
-    return items
+    answer = ended.api.http.get(f"/api/v1/campaigns/{campaign}/front", params=query).raise_for_status()
+    return list(answer.json()["items"])
 
 
 def test_rows_are_ranked_marked_and_win_everywhere_together(ended: Ended) -> None:
@@ -97,13 +95,11 @@ def test_every_evaluated_set_is_listed_by_its_objectives(ended: Ended) -> None:
     listed = ended.api.http.get(query, params={"limit": 1000}).json()["items"]
     with Client(ended.api.url) as client:
         summary, rows = client.front_summary(ended.first), client.front(ended.first)
+        sets, frame = client.evaluated_sets(ended.first[:12]), client.frame(ended.first, "front/evaluated")
     assert len(listed) == summary.evaluated
     front = [each["objectives"] for each in listed if each["on_front"]]
     assert len(front) == sum(row.alternatives for row in rows)
     assert all(row.objectives in front for row in rows)
-    with Client(ended.api.url) as client:
-        sets = client.evaluated_sets(ended.first[:12])
-        frame = client.frame(ended.first, "front/evaluated")
     assert [each.model_dump() for each in sets] == listed
     assert frame.to_arrow().num_rows == len(listed)
     exported = ended.api.http.get(query, params={"format": "csv", "where": "on_front=true"}).text
@@ -117,6 +113,7 @@ def test_the_summary_has_the_baseline_as_it_was_evaluated(ended: Ended) -> None:
         assert client.front_summary(ended.plain).baseline is None
         trust = client.results(ended.first).trust
     assert baseline is not None
+    assert baseline.objectives[JERK] == max(baseline.values[f"{JERK}@{name}"] for name in present(own).scores)
     assert baseline.objectives["comfort"] == present(own).objective
     assert present(own).parameters == {f"P{i}": 0.5 for i in range(1, 12)}
     own_light = next(each.light for each in trust.verdicts if each.code in {"front_beats_baseline", "front_not_better"})

@@ -193,6 +193,8 @@ class FrontBaseline(Answer):
     undecided: bool = False
     constraints: dict[str, float] = Field(default_factory=dict)
     """The constrained amounts, by the names of the constraints."""
+    values: dict[str, float] = Field(default_factory=dict)
+    """As of `FrontRow`."""
     rank: int | None
 
 

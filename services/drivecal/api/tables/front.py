@@ -1,10 +1,11 @@
 """Rows and summary of a campaign's front."""
 
 from collections.abc import Iterable, Sequence
+from operator import attrgetter
 
 from sqlalchemy import Connection
 
-from drivecal.analysis.goals import FAILED, Bound, Goal, Goals, Objective
+from drivecal.analysis.goals import FAILED, Bound, Goal, Goals, Objective, over_seeds
 from drivecal.analysis.robustness import key_of
 from drivecal.analysis.solutions import EvaluatedSet
 from drivecal.api.tables.ranking import given_weights
@@ -12,6 +13,7 @@ from drivecal.campaigns.results.front import CampaignFront, answers_of
 from drivecal.contracts.results import FrontBaseline, FrontGrowth, FrontObjective, FrontSummary
 from drivecal.contracts.tables import FrontRow, JudgedSet
 from drivecal.domain.campaigns import CampaignState, StageName
+from drivecal.domain.evaluations import CellScore
 from drivecal.domain.scales import Direction, plain, unit_text
 from drivecal.storage import studies
 from drivecal.storage.campaigns import StoredCampaign
@@ -95,11 +97,17 @@ def summary(front: CampaignFront) -> FrontSummary:
 
 def _baseline(front: CampaignFront, baseline: EvaluatedSet) -> FrontBaseline:
     names = [goal.name for goal in front.goals.objectives]
+    runs: dict[str, dict[int, CellScore]] = {}
+    own = [cell for cell in front.stored.answers if cell.parameter_set == baseline.parameter_set]
+    for cell in sorted(own, key=attrgetter("worth")):  # of each run, the worthiest answer is the last
+        if not baseline.seeds or cell.seed in baseline.seeds:
+            runs.setdefault(cell.scenario, {})[cell.seed] = cell
     return FrontBaseline.of(
         baseline,
         objectives=dict(zip(names, baseline.judgement.amounts, strict=True)),
         undecided=baseline.is_undecided,
         constraints=front.goals.named_bounds(baseline.judgement),
+        values=front.goals.named_values({scenario: over_seeds(list(cells.values())) for scenario, cells in runs.items()}),
         rank=front.ranks.get(baseline.parameter_set),
     )
 

@@ -97,7 +97,7 @@ export interface Pair {
   other: number | null;
 }
 
-/** The pair that the address names by ranks. If it names none, the winner is compared with the knee; a set is never compared with itself. */
+/** The pair that the address names by ranks. If it names none, the winner is compared with the knee; a set is never compared with itself. The baseline is no place. */
 export function pairOf(rows: readonly Pick<FrontRow, "rank" | "knee">[], row: string | undefined, other: string | undefined, winner: number | null): Pair {
   const place = (rank: string | undefined): number | null => {
     const at = rank === undefined ? -1 : rows.findIndex((entry) => entry.rank === Number(rank));
@@ -108,7 +108,7 @@ export function pairOf(rows: readonly Pick<FrontRow, "rank" | "knee">[], row: st
   const given = place(other);
   const current = place(row) ?? [winner, 0, rows.length - 1].find((entry) => entry !== null && entry !== given) ?? 0;
   const beside = [given, knee < 0 ? null : knee, 0, rows.length - 1].find((entry) => entry !== null && entry !== current);
-  return { current, other: beside ?? null };
+  return { current, other: other === "baseline" ? null : (beside ?? null) };
 }
 
 /** The next set along an axis, so that the arrow keys walk over the front; the first or the last without one. */

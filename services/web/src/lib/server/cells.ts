@@ -4,7 +4,7 @@ import { get } from "./api.svelte";
 import { go } from "../route.svelte";
 import { number } from "../text/format";
 import { knownOf, seedsText } from "../text/words";
-import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, PageSolution } from "./types";
+import type { Best, Campaign, CellNumber, EvaluationDetail, FrontRow, FrontSummary, PageSolution } from "./types";
 
 /** One of two sets that a view compares. */
 export interface SetSide {
@@ -14,6 +14,8 @@ export interface SetSide {
   parameters: Values;
   scores: Readonly<Record<string, number | null>>;
   objective?: number | null;
+  /** Of several objectives: their values, errors and intervals, constrained amounts, and values as `NAME@SCENARIO`. */
+  goals?: Pick<FrontRow, "objectives" | "uncertainty" | "constraints" | "values" | "degree">;
   /** Number of its seeds. */
   replicates?: number;
   /** What the runs of a random simulator tell of it; empty without them. */
@@ -63,18 +65,19 @@ async function baselineCell(campaign: string, parameters: Values, scenario: stri
   return isSame(parameters, given) ? cell : null;
 }
 
-/** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one. */
-export function baselineSide({ id, best, baseline }: Pick<Campaign, "id" | "best" | "baseline">, ofBest: boolean): SetSide | null {
+/** The baseline of a campaign, if it has one, as a set that a view compares, with the best set or another one; `front`: with its objectives. */
+export function baselineSide({ id, best, baseline }: Pick<Campaign, "id" | "best" | "baseline">, ofBest: boolean, front?: FrontSummary | null): SetSide | null {
   if (!baseline) return null;
   const known = ofBest && typeof baseline.best_objective === "number" ? `${seedsText(baseline.seeds)}; the best set has ${number(baseline.best_objective, 4)} under them, and ${number(best?.objective, 4)} as reported` : "";
-  return { ...baseline, ...(known && { known, beside: baseline.best_scores }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
+  return { ...baseline, ...(known && { known, beside: baseline.best_scores }), ...(front?.baseline && { goals: { uncertainty: {}, degree: null, ...front.baseline } }), title: "Baseline", column: "baseline", cell: (scenario) => baselineCell(id, baseline.parameters, scenario) };
 }
 
 /** A set of a front or a ranking as a view compares it. */
 export function sideOf(campaign: string, set: FrontRow | PageSolution["items"][number]): SetSide {
   const { rank, iteration, individual, parameters, scores, seeds } = set;
   const answers = "answers" in set ? set.answers : Object.fromEntries(set.reused.map((scenario) => [scenario, "reused"]));
-  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, replicates: set.replicates, ...("objective" in set && { objective: set.objective, known: knownOf(set) }), cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
+  const amounts = "objectives" in set ? { goals: set } : { objective: set.objective, known: knownOf(set) };
+  return { title: `Set ${rank}`, column: `set ${rank}`, parameters, scores, answers, seeds, replicates: set.replicates, ...amounts, cell: (scenario) => cellAt(campaign, iteration, individual, scenario) };
 }
 
 /** Opens the evaluation of a set in a scenario, or the ranking if there is none. */

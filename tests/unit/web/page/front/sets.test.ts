@@ -29,6 +29,7 @@ test("a set is never compared with itself", () => {
   expect(pairOf(ROWS, "2", undefined, null)).toEqual({ current: 1, other: 0 });
   expect(pairOf(ROWS, undefined, "1", null)).toEqual({ current: 2, other: 0 });
   expect(pairOf(ROWS, undefined, "3", 2)).toEqual({ current: 0, other: 2 });
+  expect(pairOf(ROWS, "3", "baseline", 2)).toEqual({ current: 2, other: null });
   expect(pairOf(ROWS.slice(0, 1), undefined, undefined, null)).toEqual({ current: 0, other: null });
   expect(pairOf([], "1", "2", null)).toEqual({ current: null, other: null });
 });
