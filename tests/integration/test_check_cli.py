@@ -186,10 +186,12 @@ def test_scores_are_checked_by_name_and_a_campaigns_own_comes_first(checking: Ch
     scores = dict(zip(("cost", "reference"), MANIFEST["scores"].values(), strict=True))
     push(checking.api.database, checking.folder / "heater", scores=scores)
     checking.backend.answer = lambda _, cell: CellResult(cell.id, None, None, {"energy_kwh": 1.0, "discomfort": 3.0}, None, 7.0)
-    campaign = searched(checking, problem="heater", evaluator="reference")
+    campaign = searched(checking, problem="heater", evaluator="reference", objectives=[{"score": "cost"}])
     for chosen, score in ((checking.file("set.json", MANIFEST["baseline"]), 25), (f"{campaign}#1", 7)):
         shown = json.loads(checking(chosen, "--problem", "heater", "--json").stdout)["scenarios"]
         assert {each["score"] for each in shown} == {score}
+    beside = json.loads(checking(f"{campaign}#1", "--baseline", "campaign", "--json").stdout)["beside_baseline"]
+    assert (list(beside), beside["cost"]["gain"]) == (["reference", "cost"], 0), "each objective is compared"
 
 
 @pytest.mark.slow

@@ -34,13 +34,8 @@ def test_a_report_is_written_from_what_the_server_answers(run: Run, ended: str, 
     assert answer["page"] == str(folder / "index.html")
     assert {path for path in folder.rglob("*") if path.is_file()} == {Path(name) for name in answer["files"]}
     tables = {path.stem: list(csv.DictReader(path.open(newline=""))) for path in (folder / "tables").iterdir()}
-    assert {name: len(rows) for name, rows in tables.items()} == {
-        "generations": 1,
-        "solutions": 5,
-        "influence": 22,
-        "robustness": 0,
-        "validation": 0,
-    }
+    counts = {"generations": 1, "solutions": 5, "front": 1, "influence": 22, "robustness": 0, "validation": 0}
+    assert {name: len(rows) for name, rows in tables.items()} == counts
     page = (folder / "index.html").read_text()
     again = run("report", ended, "-o", str(folder))
     assert again.exit_code == 0

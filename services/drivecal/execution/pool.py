@@ -375,10 +375,8 @@ class Observer:
             MEASURES.breakdowns.labels(DEPARTED).inc()
         for kind in broken.values():
             MEASURES.breakdowns.labels(kind).inc()
-        final = {completion.result.id for completion in completed}
-        for cell, kind in broken.items():
-            if cell not in final:
-                MEASURES.retries.labels(kind).inc()
+        for cell in broken.keys() - {completion.result.id for completion in completed}:
+            MEASURES.retries.labels(broken[cell]).inc()
         for failed in completed:
             if failed.result.breakdown is not None:
                 self._tell_failure(failed)

@@ -186,7 +186,7 @@ class FrontGrowth(Answer):
 
 class FrontBaseline(Answer):
     """The campaign's baseline among its objectives; `rank`: its place on the front, null if it is dominated. `violation` and
-    `undecided` as in `Best`."""
+    `undecided` as in `Best`, `values` as in `FrontRow`."""
 
     objectives: dict[str, float]
     violation: float
@@ -194,7 +194,6 @@ class FrontBaseline(Answer):
     constraints: dict[str, float] = Field(default_factory=dict)
     """The constrained amounts, by the names of the constraints."""
     values: dict[str, float] = Field(default_factory=dict)
-    """As of `FrontRow`."""
     rank: int | None
 
 

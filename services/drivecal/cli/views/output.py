@@ -136,8 +136,9 @@ def print_campaign(campaign: Campaign) -> None:
             ("uncertainty", text)
             for text in _uncertainty_texts(best, (campaign.spec.get("replicates") or {}).get("aggregate", "mean"))
         ]
-        if campaign.spec.get("objectives"):
-            lines.append(("front", f"drivecal front {campaign.id} lists the compromises between the objectives"))
+        if campaign.objective is not None and len(campaign.spec.get("objectives") or ()) > 1:
+            by = campaign.objective.name
+            lines.append(("front", f"drivecal front {campaign.id} lists the compromises; the best set is by {by} alone"))
     lines += [("note", note) for note in campaign.notes]
     seconds = campaign.seconds
     if seconds.wall:
