@@ -49,9 +49,8 @@ UNFETCHED = "the libraries that it is made of could not be fetched"
 class PageHook(BuildHookInterface[Any]):
     """Hatchling's hook; the wheel's target names it in pyproject.toml."""
 
-    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+    def initialize(self, _version: str, build_data: dict[str, Any]) -> None:
         """Builds the page and the documentation unless what lies there was built from the same sources."""
-        del version
         reason = build()
         if reason is not None:
             self.app.display_warning(f"drivecal is installed without its page: {reason}")

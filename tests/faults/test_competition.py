@@ -19,10 +19,9 @@ from drivecal.storage.engine.tables import campaigns
 
 CLIENTS = 50
 MakeServer = Callable[[str], Coordinator]
+pytestmark = [pytest.mark.faults, pytest.mark.timeout(3600)]
 
 
-@pytest.mark.faults
-@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kind: str, server_on: MakeServer) -> None:
     server = server_on(kind)
@@ -49,8 +48,6 @@ def test_fifty_posts_with_one_key_make_one_campaign_though_the_api_is_killed(kin
     server.terminate()
 
 
-@pytest.mark.faults
-@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_a_second_server_is_refused(kind: str, server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path) -> None:
     server = server_on(kind)
@@ -65,8 +62,6 @@ def test_a_second_server_is_refused(kind: str, server_on: MakeServer, without_fa
     live(server, [(Moment(0.4, 0.0), second_server)], without_faults)
 
 
-@pytest.mark.faults
-@pytest.mark.timeout(3600)
 def test_a_superseded_dispatcher_does_nothing(server_on: MakeServer, without_faults: dict[str, Found], tmp_path: Path) -> None:
     first = server_on("postgresql")
     first.start_ready()

@@ -10,18 +10,15 @@ from tests.support.command import Run, command
 from tests.support.comparisons import TWO_OPTIMIZERS
 from tests.support.computed import ComputedBackend
 from tests.support.runs import nothing_matters, post_map, working
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 
 SMALL: dict[str, Any] = TWO_OPTIMIZERS | {"name": "small", "populations": [6]}
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with (
-        serving(f"sqlite:///{tmp_path_factory.mktemp('compared') / 'drivecal.db'}") as running,
-        working(running.database, ComputedBackend()),
-    ):
-        yield running
+@pytest.fixture(scope="module", autouse=True)
+def _dispatcher(api: RunningApi) -> Iterator[None]:
+    with working(api.database, ComputedBackend()):
+        yield
 
 
 @pytest.fixture(scope="module")

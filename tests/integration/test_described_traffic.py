@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, PARAMETERS, PYTHON, driven, motorway
 from tests.support.scenario_files import write_files
+from tests.support.simulators import series
 
 from drivecal.plugins.simulators import RunOutcome
 
@@ -57,10 +58,6 @@ DAY = b"""<routes>
 def result(folder: Path, data: Mapping[str, Any], file: str = "acc.py", values: Mapping[str, Any] = PARAMETERS) -> RunOutcome:
     with driven(folder, data, CONTROLLERS["python"] | {"file": file}) as session:
         return session.evaluate(values, series=True)
-
-
-def series(outcome: RunOutcome, name: str) -> np.ndarray:
-    return np.array(outcome.series[name])
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.support.motorways import CONTROLLERS, PARAMETERS, ROUTE, compile_fmu, compile_program, drive, driven, motorway
-from tests.support.simulators import lost
+from tests.support.simulators import lost, series
 
 from drivecal.domain.errors import UnavailableError
 from drivecal.domain.evaluations import Breakdown
@@ -61,10 +61,6 @@ def test_the_seed_of_a_run_decides_what_its_traffic_does(folder: Path) -> None:
     with driven(folder, data, random=True) as session:
         first, other, again = (session.evaluate(PARAMETERS, seed=seed).measures for seed in (1, 2, 1))
     assert first == again != other
-
-
-def series(outcome: RunOutcome, name: str) -> np.ndarray:
-    return np.array(outcome.series[name])
 
 
 def python(folder: Path, code: str, **controller: Any) -> tuple[Path, dict[str, Any]]:

@@ -11,7 +11,7 @@ import pytest
 from tests.support.command import Run
 from tests.support.computed import ComputedBackend
 from tests.support.runs import SMALL, influenced, nothing_matters, post_map, working
-from tests.support.server import RunningApi, serving
+from tests.support.server import RunningApi
 
 from drivecal.client.client import Client
 from drivecal.contracts.work import Cell, CellResult, SetupRequest
@@ -25,13 +25,10 @@ def fragile(setup: SetupRequest, cell: Cell) -> CellResult:
     return result
 
 
-@pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApi]:
-    with (
-        serving(f"sqlite:///{tmp_path_factory.mktemp('studies') / 'drivecal.db'}") as running,
-        working(running.database, ComputedBackend(driven=fragile)),
-    ):
-        yield running
+@pytest.fixture(scope="module", autouse=True)
+def _dispatcher(api: RunningApi) -> Iterator[None]:
+    with working(api.database, ComputedBackend(driven=fragile)):
+        yield
 
 
 @pytest.fixture(scope="module")

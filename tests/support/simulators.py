@@ -12,6 +12,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 
@@ -19,7 +20,7 @@ from drivecal.adapters.environment import Scratch
 from drivecal.adapters.kinds import simulator_of
 from drivecal.domain.evaluations import Breakdown
 from drivecal.domain.values import Setting
-from drivecal.plugins.simulators import Declared, NoMeasuresError, SimulatorSession
+from drivecal.plugins.simulators import Declared, NoMeasuresError, RunOutcome, SimulatorSession
 
 DECLARED = Declared("trial", ("y",), series=("t",))
 DATA = {"k": 3}
@@ -172,3 +173,8 @@ def nest(folder: Path, name: str, depth: int) -> None:
         os.close(descriptor)
         descriptor = deeper
     os.close(descriptor)
+
+
+def series(outcome: RunOutcome, name: str) -> np.ndarray:
+    """A time series of a run."""
+    return np.array(outcome.series[name])

@@ -104,6 +104,19 @@ IdempotencyKey = Annotated[
         description="The same key and body give the same answer; the same key with another body is refused (409).",
     ),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class Intake:
+    """The database, the limits, the owner and the Idempotency-Key of a request for work."""
+
+    database: DatabaseDependency
+    limits: LimitsDependency
+    owner: Owner
+    key: IdempotencyKey = None
+
+
+IntakeDependency = Annotated[Intake, Depends()]
 Accept = Annotated[str, Header(description="text/csv and application/vnd.apache.parquet give the whole table.")]
 """The `Accept` header; declare it with the default `*/*`."""
 

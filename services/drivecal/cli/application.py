@@ -101,9 +101,8 @@ class Commands(TyperGroup):
 
     _summarises = False
 
-    def list_commands(self, ctx: Any) -> list[str]:
+    def list_commands(self, *_: Any) -> list[str]:
         """Returns the commands in the order of `COMMANDS`."""
-        del ctx
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

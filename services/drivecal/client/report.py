@@ -16,6 +16,8 @@ MOST = 1000
 """Rows of a page of an answer."""
 _SCRIPT = re.compile(r'<script type="module"[^>]* src="([^"]+)"></script>')
 _STYLES = re.compile(r'<link rel="stylesheet"[^>]* href="([^"]+)">')
+_ENDING = re.compile(r"</(?=script)|<!--", re.IGNORECASE)
+"""Text in a script that would end an element of the page."""
 _ICON = re.compile(r'<link rel="icon"[^>]*>')
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:; "
@@ -39,20 +41,16 @@ def report_of(ask: Callable[[str], str], campaign: Campaign) -> bytes:
     for path in _asked(campaign, answers):
         answers[path] = ask(ROOT + path)
     code, style = ask(script[1]), ask(styles[1])
+    code = _ENDING.sub(lambda match: match[0].replace("<", "\\x3c"), code)
     known = json.dumps(answers, ensure_ascii=False).replace("<", "\\u003c")
     start = json.dumps(f"#/campaigns/{campaign.id}")
     body = (
         f'<script type="application/json" id="answers">{known}</script>\n<script>if (!location.hash) location.hash = {start};</script>\n'
-        f'<script type="module">{_harmless(code)}</script>\n</body>'
+        f'<script type="module">{code}</script>\n</body>'
     )
     page = page.replace(script[0], f'<meta http-equiv="Content-Security-Policy" content="{POLICY}" />')
     page = page.replace(styles[0], f"<style>{style}</style>").replace("</body>", body)
     return _ICON.sub("", page).encode()
-
-
-def _harmless(code: str) -> str:
-    """Returns a script that ends no element of the page."""
-    return re.sub(r"</(?=script)|<!--", lambda match: match[0].replace("<", "\\x3c"), code, flags=re.IGNORECASE)
 
 
 def _asked(campaign: Campaign, answers: dict[str, str]) -> Iterator[str]:

@@ -169,8 +169,9 @@ def _version(path: Path) -> tuple[int, ...] | None:
 
 
 def _read(path: Path) -> bytes:
+    at_once = getattr(os, "O_NONBLOCK", 0)  # a pipe blocks its reader until a writer opens it
     try:
-        with io.FileIO(path, opener=_open_without_waiting) as file:
+        with io.FileIO(path, opener=lambda name, flags: os.open(name, flags | at_once)) as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
                 raise InvalidInputError(Problem(str(path), "it is not a file", "name a text file with tokens"))
             content = file.read(LARGEST_FILE + 1)
@@ -180,11 +181,6 @@ def _read(path: Path) -> bytes:
     if len(content) > LARGEST_FILE:
         raise InvalidInputError(Problem(str(path), f"it is larger than {LARGEST_FILE:,} bytes", f"write {FORM}"))
     return content
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Opens without waiting: a pipe blocks its reader until a writer opens it."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 MAKE_TOKENS = "python3 -c 'import secrets; print(\"me write\", secrets.token_urlsafe(24))' > tokens"

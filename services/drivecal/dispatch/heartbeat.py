@@ -9,7 +9,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from types import TracebackType
 from typing import Any, Self
 
 from sqlalchemy import Connection
@@ -118,8 +117,7 @@ class Heartbeat:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        del kind, error, traceback
+    def __exit__(self, *_: object) -> None:
         self._stopped.set()
         self._thread.join(GRACE_SECONDS)  # it may be waiting for the database
 

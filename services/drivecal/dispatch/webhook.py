@@ -12,7 +12,6 @@ import threading
 import urllib.error
 import urllib.request
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any, Self
 
 from drivecal.domain.errors import SupersededError, UnavailableError
@@ -49,8 +48,7 @@ class Webhook:
         self._thread.start()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
-        del kind, error, traceback
+    def __exit__(self, *_: object) -> None:
         self._stopped.set()  # a post that is under way ends with the process, and is repeated by the next one
 
     def _run(self) -> None:

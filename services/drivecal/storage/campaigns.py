@@ -54,8 +54,7 @@ class _ByStage(TypeDecorator[dict[StageName, dict[str, int]]]):
     impl = Text
     cache_ok = True
 
-    def process_result_value(self, value: Any, dialect: Dialect) -> dict[StageName, dict[str, int]]:
-        del dialect
+    def process_result_value(self, value: Any, *_: Dialect) -> dict[StageName, dict[str, int]]:
         document = json.loads(f"{{{value or ''}}}")
         return {STAGES[number]: document[str(number)] for number in sorted(map(int, document))}
 

@@ -39,15 +39,11 @@ def end_with_parent(number: int) -> None:
 
 
 VITAL = {"raylet", "gcs_server"}
+"""Ray's processes that must not end; without /proc they cannot be watched."""
 POLL_SECONDS = 1.0
 END_SECONDS = 10.0
 
 log = logging.getLogger("drivecal.cluster")
-
-
-def vital_processes(parent: int) -> set[str]:
-    """Returns the names of Ray's vital processes among the children of a process, unless they are stopped; empty without /proc."""
-    return VITAL & {name for _, name, fields in processes() if int(fields[1]) == parent and fields[0] not in "ZT"}
 
 
 def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
@@ -76,7 +72,7 @@ def guard(command: Sequence[str], poll_seconds: float = POLL_SECONDS) -> int:
             process.kill()
             process.wait()
             return 1
-        running = vital_processes(process.pid)
+        running = VITAL & {name for _, name, fields in processes() if int(fields[1]) == process.pid and fields[0] not in "ZT"}
         if seen - running and not signals and process.poll() is None:
             log.error("Ray's %s ended; stopping this node", " and ".join(sorted(seen - running)))
             process.terminate()

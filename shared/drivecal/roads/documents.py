@@ -79,10 +79,7 @@ class Attributes:
 
     def number(self, key: str, lower: float, upper: float, default: float | None = None) -> float:
         """Returns a finite number between two bounds. Raises InvalidInputError."""
-        text = self.values.get(key)
-        if text is None and default is not None:
-            return default
-        text = self.text(key)
+        text = self.text(key, None if default is None else repr(default))
         try:
             value = float(text)
         except ValueError:

@@ -245,12 +245,6 @@ def test_a_declared_failure_needs_no_measures(worker: Callable[..., Worker], req
     assert (result.failure, result.breakdown) == ("collision", None)
 
 
-def test_time_series_come_back_compressed(worker: Callable[..., Worker], request_: SetupRequest) -> None:
-    works = worker(ScriptedSimulator())
-    (result,) = works.run(Batch(request_, (Cell(1, {"x": 2.0}, trace=True),))).results
-    assert json.loads(gzip.decompress(present(result.trace))) == TRACE
-
-
 def test_a_replay_comes_back_beside_the_time_series(worker: Callable[..., Worker], request_: SetupRequest) -> None:
     replayed = RunOutcome({"a": 2.0}, None, {"v": (1.0, 2.0)}, replay=ReplayAnswer.model_validate(REPLAY))
     works = worker(ScriptedSimulator({2.0: replayed}))

@@ -82,9 +82,8 @@ def _start_process(section: Section, scenario: str, data: Data, scratch: Scratch
     return ProcessSession(section["command"], section, scratch, declared, scenario=scenario, data=data, advice=UNFLUSHED)
 
 
-def _start_command(section: Section, scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
-    """Checks that the command exists. `scenario` is the name of `data`, which the command gets as a file."""
-    del scenario
+def _start_command(section: Section, _scenario: str, data: Data, scratch: Scratch, declared: Declared) -> SimulatorSession:
+    """Checks that the command exists, which gets `data` as a file."""
     check_command(section["command"], scratch.work)
     return CommandSession(section, scratch, declared, data=data)
 

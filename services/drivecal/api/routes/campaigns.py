@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request, Response
 
 from drivecal.api import expectation, submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner
+from drivecal.api.dependencies import DatabaseDependency, IntakeDependency
 from drivecal.api.http.authorisation import refuse_others
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import CampaignsQuery, SubmissionQuery
@@ -31,19 +31,14 @@ IfNoneMatch = Annotated[str | None, Header(max_length=10_000)]
 
 @router.post("", status_code=202, responses={200: {"model": ExpectedRuns}, 202: {"model": Campaign}}, response_model=None)
 def submit(
-    specification: CampaignSpecification,
-    query: SubmissionQuery,
-    response: Response,
-    database: DatabaseDependency,
-    limits: LimitsDependency,
-    owner: Owner,
-    idempotency_key: IdempotencyKey = None,
+    specification: CampaignSpecification, query: SubmissionQuery, response: Response, intake: IntakeDependency
 ) -> Campaign | ExpectedRuns:
     """Queues a campaign; with `validate_only=true` checks it, counts its runs and stores nothing."""
     if query.validate_only:
         response.status_code = 200
-        return expectation.expected(database, limits, specification)
-    return accepted(response, database, submission.submit(database, limits, specification, idempotency_key, owner))
+        return expectation.expected(intake.database, intake.limits, specification)
+    stored = submission.submit(intake.database, intake.limits, specification, intake.key, intake.owner)
+    return accepted(response, intake.database, stored)
 
 
 @router.get("", response_model=CampaignPage, responses=NOT_MODIFIED)
@@ -130,17 +125,10 @@ def cancel(campaign_id: str, request: Request, response: Response, database: Dat
 
 
 @router.post("/{campaign_id}/rerun", status_code=202)
-def rerun(
-    campaign_id: str,
-    changes: RerunSpecification,
-    response: Response,
-    database: DatabaseDependency,
-    limits: LimitsDependency,
-    owner: Owner,
-    idempotency_key: IdempotencyKey = None,
-) -> Campaign:
+def rerun(campaign_id: str, changes: RerunSpecification, response: Response, intake: IntakeDependency) -> Campaign:
     """Queues a new campaign on the references and the influence map of an ended one."""
-    return accepted(response, database, submission.rerun(database, limits, campaign_id, changes, idempotency_key, owner))
+    stored = submission.rerun(intake.database, intake.limits, campaign_id, changes, intake.key, intake.owner)
+    return accepted(response, intake.database, stored)
 
 
 def _asked(database: Database, campaign_id: str, action: Action, request: Request, response: Response) -> Campaign:

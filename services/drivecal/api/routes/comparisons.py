@@ -5,7 +5,7 @@ import uuid
 from fastapi import APIRouter, Response
 
 from drivecal.api import expectation, submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner, computed
+from drivecal.api.dependencies import DatabaseDependency, IntakeDependency, computed
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.http.queries import SubmissionQuery
 from drivecal.api.responses import ROOT
@@ -19,22 +19,16 @@ router = APIRouter(prefix="/comparisons", tags=["comparisons"], route_class=Stri
     "", status_code=202, responses={200: {"model": ExpectedComparison}, 202: {"model": Comparison}}, response_model=None
 )
 def submit(
-    specification: ComparisonSpecification,
-    query: SubmissionQuery,
-    response: Response,
-    database: DatabaseDependency,
-    limits: LimitsDependency,
-    owner: Owner,
-    idempotency_key: IdempotencyKey = None,
+    specification: ComparisonSpecification, query: SubmissionQuery, response: Response, intake: IntakeDependency
 ) -> Comparison | ExpectedComparison:
     """Queues the campaigns of a comparison, all or none; they have its tag. With `validate_only=true` checks it, counts its runs and stores
     nothing."""
     if query.validate_only:
         response.status_code = 200
-        return expectation.expected_comparison(database, limits, specification)
-    tag = submission.compare(database, limits, specification, idempotency_key or uuid.uuid4().hex, owner)
+        return expectation.expected_comparison(intake.database, intake.limits, specification)
+    tag = submission.compare(intake.database, intake.limits, specification, intake.key or uuid.uuid4().hex, intake.owner)
     response.headers["Location"] = f"{ROOT}/comparisons/{tag}"
-    return database.query(compared, tag)
+    return intake.database.query(compared, tag)
 
 
 @router.get("/{tag:path}")

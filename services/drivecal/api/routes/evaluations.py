@@ -8,7 +8,7 @@ from fastapi import APIRouter, Header, Request, Response
 from sqlalchemy import Connection
 
 from drivecal.api import submission
-from drivecal.api.dependencies import DatabaseDependency, IdempotencyKey, LimitsDependency, Owner, computed
+from drivecal.api.dependencies import DatabaseDependency, IntakeDependency, LimitsDependency, computed
 from drivecal.api.http.authorisation import refuse_reader
 from drivecal.api.http.bodies import StrictRoute
 from drivecal.api.responses import SECONDS_BETWEEN_POLLS, evaluation_answer, evaluation_row, matches, takes_gzip
@@ -35,17 +35,10 @@ MOST_SCENARIOS = 1000
 
 
 @router.post("", status_code=202)
-def evaluate(
-    specification: EvaluationSpecification,
-    response: Response,
-    database: DatabaseDependency,
-    limits: LimitsDependency,
-    owner: Owner,
-    idempotency_key: IdempotencyKey = None,
-) -> Evaluation:
+def evaluate(specification: EvaluationSpecification, response: Response, intake: IntakeDependency) -> Evaluation:
     """Queues the evaluation of one parameter set; `Location` is the URL of its result."""
-    stored = submission.evaluate(database, limits, specification, idempotency_key, owner)
-    answer = database.query(_evaluation, stored)
+    stored = submission.evaluate(intake.database, intake.limits, specification, intake.key, intake.owner)
+    answer = intake.database.query(_evaluation, stored)
     response.headers["Location"] = answer.links["self"]
     return answer
 

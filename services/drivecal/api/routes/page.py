@@ -111,9 +111,8 @@ def _answer(request: Request, path: Path, caching: str, guard: Mapping[str, str]
 
 
 @lru_cache(maxsize=500)
-def _read(path: Path, modified: int) -> tuple[bytes, bytes, str]:
-    """Returns the content of a file, the same compressed, and its tag. `modified`: distinguishes the files of a new build."""
-    del modified
+def _read(path: Path, _modified: int) -> tuple[bytes, bytes, str]:
+    """Returns the content of a file, the same compressed, and its tag. `_modified`: distinguishes the files of a new build."""
     content = path.read_bytes()
     return content, gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:32]}"'
 

@@ -332,11 +332,12 @@ def state_text(campaign: Campaign) -> str:
         parts.append(f"about {duration(campaign.progress.eta_seconds)} left")
     if campaign.requested_action in ASKED:
         parts.append(ASKED[campaign.requested_action])
-    if campaign.degraded:
-        parts.append(f"degraded: {campaign.degraded}")
-    if campaign.waiting:
-        parts.append(f"waiting: {campaign.waiting}")
-    return ", ".join(parts)
+    return ", ".join([*parts, *troubles(campaign)])
+
+
+def troubles(campaign: Campaign) -> list[str]:
+    """Returns why a campaign does not go on, and what it waits for."""
+    return [f"{name}: {text}" for name in ("degraded", "waiting") if (text := getattr(campaign, name))]
 
 
 def cells_text(cells: CellCounts) -> str:

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Column
 
 from drivecal.cli.application import ExitCode, WaitTimedOutError, say
-from drivecal.cli.views.output import by_outcome, duration
+from drivecal.cli.views.output import by_outcome, duration, troubles
 from drivecal.cli.views.sections import judged_text
 from drivecal.client.client import Client
 from drivecal.contracts.campaign import Campaign, CampaignEvent
@@ -157,8 +157,4 @@ def _detail(campaign: Campaign) -> str:
         parts.append(f"best {judged_text(campaign.best)}{f' by {campaign.best.replicates} seeds' if has_several else ''}")
     if campaign.progress.eta_seconds is not None and campaign.state == "running":
         parts.append(f"{duration(campaign.progress.eta_seconds)} left")
-    if campaign.degraded:
-        parts.append(f"degraded: {campaign.degraded}")
-    if campaign.waiting:
-        parts.append(f"waiting: {campaign.waiting}")
-    return "  ".join(parts)
+    return "  ".join([*parts, *troubles(campaign)])

@@ -500,7 +500,7 @@ class Scheduler:
 
     def _is_alone(self, worker: str) -> bool:
         """Returns whether a cell broke down at this worker and no other can try it."""
-        return any(self._worker_health.no_worker_left(cell.setup, cell.avoid or ()) for cell in self._queue.avoiding(worker))
+        return any(not self._worker_health.able(cell.setup, cell.avoid or ()) for cell in self._queue.avoiding(worker))
 
 
 def _broken(leader: Claim, breakdown: Breakdown, detail: str) -> CellResult:

@@ -87,11 +87,7 @@ class WorkerHealth:
         if worker not in self._ready or worker in avoid or worker in self._refusals.refusing(setup):
             return False
         own = self._trust(worker)
-        return not avoid or all(self._trust(other) <= own for other in self._able(setup, avoid))
-
-    def no_worker_left(self, setup: SetupKey, avoid: Collection[str]) -> bool:
-        """Returns whether every worker is in `avoid` or refuses the setup."""
-        return not self._able(setup, avoid)
+        return not avoid or all(self._trust(other) <= own for other in self.able(setup, avoid))
 
     def on_probation(self, worker: str) -> bool:
         """Returns whether a worker has no results while others have some: it gets single cells."""
@@ -104,7 +100,7 @@ class WorkerHealth:
             return None
         return f"{shown.without_result} batches in a row gave no result, the last one because: {shown.detail}"
 
-    def _able(self, setup: SetupKey, avoid: Collection[str]) -> frozenset[str]:
+    def able(self, setup: SetupKey, avoid: Collection[str]) -> frozenset[str]:
         """Returns the workers that are not in `avoid` and do not refuse a setup."""
         return self._ready.difference(avoid, self._refusals.refusing(setup))
 

@@ -34,12 +34,10 @@ class DocumentOf(TypeDecorator[Any]):
         self.of = of
         self._adapter: TypeAdapter[Any] = TypeAdapter(of)
 
-    def process_bind_param(self, value: Any, dialect: Dialect) -> Any:
-        del dialect
+    def process_bind_param(self, value: Any, *_: Dialect) -> Any:
         return None if value is None else self._adapter.dump_python(value, mode="json")
 
-    def process_result_value(self, value: Any, dialect: Dialect) -> Any:
-        del dialect
+    def process_result_value(self, value: Any, *_: Dialect) -> Any:
         return None if value is None else self._adapter.validate_python(value)
 
 
@@ -53,12 +51,10 @@ class StageNumber(TypeDecorator[StageName]):
     impl = SmallInteger
     cache_ok = True
 
-    def process_bind_param(self, value: StageName | None, dialect: Dialect) -> int | None:
-        del dialect
+    def process_bind_param(self, value: StageName | None, *_: Dialect) -> int | None:
         return None if value is None else ORDER[StageName(value)]
 
-    def process_result_value(self, value: int | None, dialect: Dialect) -> StageName | None:
-        del dialect
+    def process_result_value(self, value: int | None, *_: Dialect) -> StageName | None:
         return None if value is None else STAGES[value]
 
 
@@ -78,8 +74,7 @@ class Score(TypeDecorator[float]):
         """Returns the column type of a backend."""
         return dialect.type_descriptor(Integer() if dialect.name == "sqlite" else Double())
 
-    def process_result_value(self, value: float | None, dialect: Dialect) -> float | None:
-        del dialect
+    def process_result_value(self, value: float | None, *_: Dialect) -> float | None:
         return None if value is None else plain(value)
 
 
@@ -89,14 +84,12 @@ class UtcDateTime(TypeDecorator[datetime]):
     impl = DateTime(timezone=True)
     cache_ok = True
 
-    def process_bind_param(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        del dialect
+    def process_bind_param(self, value: datetime | None, *_: Dialect) -> datetime | None:
         if value is not None and value.tzinfo is None:
             raise ValueError(f"{value} names no time zone; give an aware datetime")
         return None if value is None else value.astimezone(UTC)
 
-    def process_result_value(self, value: datetime | None, dialect: Dialect) -> datetime | None:
-        del dialect
+    def process_result_value(self, value: datetime | None, *_: Dialect) -> datetime | None:
         if value is None:
             return None
         return value.replace(tzinfo=UTC) if value.tzinfo is None else value.astimezone(UTC)

@@ -53,11 +53,6 @@ class Element(Attributes):
         self.known.append(key)
         return super().text(key).strip().removeprefix("$")
 
-    def number(self, key: str, lower: float, upper: float, default: float | None = None) -> float:
-        """Returns a finite number between two bounds. Raises InvalidInputError."""
-        self.known.append(key)
-        return super().number(key, lower, upper, default)
-
     def decides(self, key: str, default: str) -> bool:
         """Returns a truth value: true, false, 1 or 0. Raises InvalidInputError for others."""
         text = self.text(key, default).strip().lower()

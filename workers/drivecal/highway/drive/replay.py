@@ -49,8 +49,7 @@ class DriveRecorder:
         self._seen = self._poses = 0
         """Number of all moments so far, and of the poses in the kept ones."""
 
-    def __call__(self, traffic: Traffic, pose: Floats, plan: Floats | None) -> None:
-        del plan
+    def __call__(self, traffic: Traffic, pose: Floats, *_: Floats | None) -> None:
         names, outlines = traffic.names, traffic.outlines
         near = np.flatnonzero(np.hypot(outlines[:, 0] - pose[0], outlines[:, 1] - pose[1]) <= REACH)
         self._newest = [names[row] for row in near.tolist()], outlines[near]

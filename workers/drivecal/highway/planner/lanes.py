@@ -62,9 +62,7 @@ def _operator(function: Any, result: Any, build: Build) -> None:
     """Defines an operator of Lanes with Lanes and with numbers."""
 
     @type_callable(function)
-    def typed(context: Any) -> Any:
-        del context
-
+    def typed(_context: Any) -> Any:
         def resolve(left: Any, right: Any) -> Any:
             kinds = {left, right}
             return result if _lanes in kinds and kinds <= {_lanes, types.float64} else None
@@ -74,46 +72,34 @@ def _operator(function: Any, result: Any, build: Build) -> None:
     for left, right in ((_lanes, _lanes), (_lanes, types.float64), (types.float64, _lanes)):
 
         @lower_builtin(function, left, right)
-        def lowered(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            del context
+        def lowered(_context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             return build(builder, *(_all(builder, *each) for each in zip(signature.args, arguments, strict=True)))
-
-
-def _compared(sign: str) -> Build:
-    def build(builder: Any, left: Any, right: Any) -> Any:
-        return builder.fcmp_ordered(sign, left, right)
-
-    return build
 
 
 _operator(operator.add, _lanes, lambda builder, left, right: builder.fadd(left, right))
 _operator(operator.sub, _lanes, lambda builder, left, right: builder.fsub(left, right))
 _operator(operator.mul, _lanes, lambda builder, left, right: builder.fmul(left, right))
 _operator(operator.truediv, _lanes, lambda builder, left, right: builder.fdiv(left, right))
-_operator(operator.lt, _mask, _compared("<"))
-_operator(operator.le, _mask, _compared("<="))
-_operator(operator.gt, _mask, _compared(">"))
+_operator(operator.lt, _mask, lambda builder, left, right: builder.fcmp_ordered("<", left, right))
+_operator(operator.le, _mask, lambda builder, left, right: builder.fcmp_ordered("<=", left, right))
+_operator(operator.gt, _mask, lambda builder, left, right: builder.fcmp_ordered(">", left, right))
 
 
 @type_callable(operator.or_)
-def _typed_or(context: Any) -> Any:
-    del context
+def _typed_or(_context: Any) -> Any:
     return lambda left, right: _mask if left == right == _mask else None
 
 
 @lower_builtin(operator.or_, _mask, _mask)
-def _lowered_or(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    del context, signature
+def _lowered_or(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
     return builder.or_(*arguments)
 
 
 @intrinsic
-def spread(context: Any, value: Any) -> Any:
+def spread(_context: Any, value: Any) -> Any:
     """Returns the number `value` in all lanes."""
-    del context
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        del context, signature
+    def build(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return _all(builder, types.float64, arguments[0])
 
     return _lanes(value), build
@@ -125,9 +111,9 @@ def _address(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 @intrinsic
-def load(context: Any, array: Any, at: Any) -> Any:
+def load(_context: Any, array: Any, at: Any) -> Any:
     """Returns eight successive numbers of an array in C order."""
-    del context, at
+    del at
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.load(_address(context, builder, signature, arguments), align=8)
@@ -136,9 +122,9 @@ def load(context: Any, array: Any, at: Any) -> Any:
 
 
 @intrinsic
-def store(context: Any, array: Any, at: Any, value: Any) -> Any:
+def store(_context: Any, array: Any, at: Any, value: Any) -> Any:
     """Writes eight successive numbers of an array in C order."""
-    del context, at
+    del at
 
     def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         value = _all(builder, signature.args[2], arguments[2])
@@ -149,12 +135,10 @@ def store(context: Any, array: Any, at: Any, value: Any) -> Any:
 
 
 @intrinsic
-def where(context: Any, condition: Any, yes: Any, no: Any) -> Any:
+def where(_context: Any, condition: Any, yes: Any, no: Any) -> Any:
     """Returns `yes` in the lanes where the condition holds, else `no`; both may be Lanes or numbers."""
-    del context
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        del context
+    def build(_context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pair = zip(signature.args[1:], arguments[1:], strict=True)
         return builder.select(arguments[0], *(_all(builder, *each) for each in pair))
 
@@ -163,11 +147,8 @@ def where(context: Any, condition: Any, yes: Any, no: Any) -> Any:
 
 def _unary(name: str) -> Any:
     @intrinsic
-    def function(context: Any, value: Any) -> Any:
-        del context
-
-        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            del context, signature
+    def function(_context: Any, value: Any) -> Any:
+        def build(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
             kind = ir.FunctionType(_DOUBLES, [_DOUBLES])
             return builder.call(get_or_insert_function(builder.module, kind, f"{name}.v{LANES}f64"), arguments)
 
@@ -181,11 +162,8 @@ floor, absolute = _unary("llvm.floor"), _unary("llvm.fabs")
 
 def _chosen(sign: str) -> Any:
     @intrinsic
-    def function(context: Any, left: Any, right: Any) -> Any:
-        del context
-
-        def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            del context
+    def function(_context: Any, left: Any, right: Any) -> Any:
+        def build(_context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             first, second = (_all(builder, *each) for each in zip(signature.args, arguments, strict=True))
             return builder.select(builder.fcmp_ordered(sign, first, second), first, second)
 
@@ -198,24 +176,21 @@ larger, smaller = _chosen(">"), _chosen("<")
 
 
 @intrinsic
-def bits(context: Any, condition: Any) -> Any:
+def bits(_context: Any, condition: Any) -> Any:
     """Returns the lanes where a condition holds as the bits of a whole number, the first lane lowest."""
-    del context
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        del context, signature
+    def build(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.zext(builder.bitcast(arguments[0], ir.IntType(LANES)), ir.IntType(64))
 
     return types.int64(condition), build
 
 
 @intrinsic
-def lowest_bit(context: Any, number: Any) -> Any:
+def lowest_bit(_context: Any, number: Any) -> Any:
     """Returns the place of the lowest bit of a whole number that is set."""
-    del context, number
+    del number
 
-    def build(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        del context, signature
+    def build(_context: Any, builder: Any, _signature: Any, arguments: Any) -> Any:
         return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
 
     return types.int64(types.int64), build
