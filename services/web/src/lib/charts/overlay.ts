@@ -8,7 +8,7 @@ const DASHES = [undefined, "7 3", "2 3", "9 3 2 3", "4 2"];
 
 /** What the best objectives of a campaign are: its first objective, else its score, by the formula of its `evaluator`. */
 export type Measure = Pick<Campaign["scale"], "name" | "unit" | "direction"> & { evaluator?: string | undefined };
-type Scored = Pick<Campaign, "scale"> & { setup?: Pick<CampaignSetup, "evaluator"> | null };
+type Scored = Pick<Campaign, "scale"> & { setup?: Pick<CampaignSetup, "evaluator" | "scenarios"> | null };
 export type Over = "iteration" | "simulations";
 
 function measureOf({ objective, scale, setup }: Scored & Pick<Campaign, "objective">): Measure {
@@ -16,15 +16,21 @@ function measureOf({ objective, scale, setup }: Scored & Pick<Campaign, "objecti
   return { name, unit, direction, evaluator: objective ? undefined : setup?.evaluator };
 }
 
-/** Whether the scores of campaigns, by scenario, are on one scale, and of one formula. */
+/** Whether the simulations of campaigns have the same files in each scenario. */
+export function haveLikeFiles(campaigns: readonly Scored[]): boolean {
+  const rows = Map.groupBy(campaigns.flatMap(({ setup }) => setup?.scenarios ?? []), ({ scenario }) => scenario);
+  return [...rows.values()].every((like) => new Set(like.flatMap(({ files }) => files ?? [])).size < 2);
+}
+
+/** Whether the scores of campaigns, by scenario, are on one scale, and of one formula and simulation. */
 export function haveLikeScores(campaigns: readonly Scored[]): boolean {
   const formulas = new Set(campaigns.flatMap(({ setup }) => setup?.evaluator ?? []));
-  return formulas.size < 2 && new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
+  return formulas.size < 2 && haveLikeFiles(campaigns) && new Set(campaigns.map(({ scale }) => JSON.stringify(scale))).size < 2;
 }
 
 /** Searches by what their objectives are: other names, units or directions, or of scores other formulas or weights, need another axis. */
 export function byMeasure<T extends { of: Scored & Pick<Campaign, "objective">; weights?: string }>(searches: readonly T[]): { measure: Measure; searches: T[] }[] {
-  const groups = Map.groupBy(searches, ({ of, weights }) => JSON.stringify({ ...measureOf(of), weights: of.objective ? undefined : weights }));
+  const groups = Map.groupBy(searches, ({ of, weights }) => JSON.stringify({ ...measureOf(of), files: [...new Set(of.setup?.scenarios.map(({ files }) => files))], weights: of.objective ? undefined : weights }));
   return [...groups].map(([measure, like]) => ({ measure: JSON.parse(measure) as Measure, searches: like }));
 }
 

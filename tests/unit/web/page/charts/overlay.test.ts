@@ -32,8 +32,9 @@ const [scored, cheap, quick] = [campaign(null), campaign({ name: "energy", unit:
 
 test("only like scores are compared", () => {
   expect([haveLikeScores([scored, cheap]), haveLikeScores([scored, { ...scored, scale: { ...scored.scale, direction: "minimise" } }])]).toEqual([true, false]);
-  const pushed = ["first", "second"].map((evaluator) => ({ ...scored, setup: { evaluator } }));
-  expect([haveLikeScores(pushed), byMeasure(pushed.map((of) => ({ of }))).length]).toEqual([false, 2]);
+  const pushed = ["first", "second"].map((evaluator) => ({ ...scored, setup: { evaluator, scenarios: [] } }) as unknown as Campaign);
+  const changed = ["first", "second"].map((files) => ({ ...scored, setup: { evaluator: "one", scenarios: [{ scenario: "city", files }] } }) as unknown as Campaign);
+  for (const unlike of [pushed, changed]) expect([haveLikeScores(unlike), byMeasure(unlike.map((of) => ({ of }))).length]).toEqual([false, 2]);
 });
 
 test("searches of unlike objectives share no axis, and keep their order", () => {
