@@ -9,7 +9,7 @@ from drivecal.domain.scales import Scale
 LARGEST = 1e15
 """Largest size of a score. Sums and ranks of larger ones could overflow; only a formula near a division by zero gives them."""
 
-REMEDY = "widen `range`, or give a `failed` that is worse than any run's value"
+REMEDY = "give a `failed` that is worse than any run's value; without one, the end of `range` counts"
 """Remedy for scores that are cut off."""
 
 

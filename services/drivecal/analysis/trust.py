@@ -280,7 +280,7 @@ def _left_out(campaign: Campaign) -> Iterator[ResultVerdict]:
     left_out = [name for name, weight in (campaign.spec.get("weights") or {}).items() if weight == 0]
     of_all = (each for each in campaign.spec.get("constraints") or () if each.get("scenarios", "all") == "all")
     if left_out and any(not each.get("changes") and not each.get("distance") for each in of_all):
-        yield verdict("constraints_left_out", "amber", scenarios=left_out)
+        yield verdict("constraints_left_out", "neutral", scenarios=left_out)
 
 
 def _lights(campaign: Campaign, *, is_random: bool) -> tuple[Light | Literal["neutral"], Light]:

@@ -37,7 +37,7 @@ SCORES = CONFIRMED | {
     "constraints_undecided": "Runs do not decide whether {subject} keeps its rates; more seeds (replicates.most) or a larger budget "
     "may{bounded:after}.",
     "constraints_kept": "{subject} keeps the constraints{bounded:after}.",
-    "constraints_left_out": "No constraint holds in {scenarios:list}, of weight 0: nothing runs there; a small weight would change that.",
+    "constraints_left_out": "No constraint holds in {scenarios:list}, of weight 0: the search runs nothing there.",
     "fails": "Runs of {subject} fail in {scenarios:list}: see the causes of failures.",
     "scores_copied": "This very set was not simulated in {scenarios:list}: its scores there are copied.",
     "scores_simulated": "Every score of {subject} was simulated or repeats a simulation.",
@@ -69,7 +69,7 @@ SCORES = CONFIRMED | {
     "ranges).",
 }
 BASELINE = {
-    "baseline_breaks_more": "The baseline breaks the constraints more than {subject}.",
+    "baseline_breaks_more": "The baseline breaks constraints that {subject} keeps, or breaks less.",
     "beside_baseline": "The chosen set beside the baseline: {objectives:compared}.",
     "better_than_baseline": "The best set is better than the baseline, by {gain:.4g}{under}.",
     "baseline_fails": "The baseline scores as a failed run in {scenarios:list}: a gain depends on what that is worth ({failed:g}).",

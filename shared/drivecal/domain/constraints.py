@@ -146,13 +146,14 @@ class Constraints:
         return bool(self.listed or self.limits)
 
     @cached_property
-    def names(self) -> frozenset[str]:
-        """The parameters whose values the constraints read, fixed ones included."""
+    def read(self) -> Mapping[str, frozenset[str]]:
+        """The parameters whose values each constraint reads, fixed ones included."""
         last = self.space.n_values - 1
-        columns = _ReadColumns(self._columns(np.stack([last // 2, 0 * last, last])))
-        for constraint in self.listed.values():
-            _allowed(constraint, columns)
-        return frozenset(columns.names)
+        columns = self._columns(np.stack([last // 2, 0 * last, last]))
+        read = {text: _ReadColumns(columns) for text in self.listed}
+        for text, constraint in self.listed.items():
+            _allowed(constraint, read[text])
+        return {text: frozenset(each.names) for text, each in read.items()}
 
     def feasible(self, population: Indices) -> npt.NDArray[np.bool_]:
         """Returns which rows of grid indices, shape (n, n_searched), keep all constraints, shape (n,)."""
@@ -207,7 +208,7 @@ class Constraints:
         region = FeasibleRegion(
             Polytope(origins, steps, lower, upper, list(self._half_spaces())),
             feasible,
-            read=np.flatnonzero([parameter.name in self.names for parameter in searched]),
+            read=np.flatnonzero([any(parameter.name in names for names in self.read.values()) for parameter in searched]),
             unordered=np.array([bool(parameter.choices) for parameter in searched], dtype=np.bool_),
             drawn=self.drawn,
         )

@@ -348,23 +348,29 @@ class ParameterSpace:
             columns[parameter.name] = parameter.entries(population[:, column])
         return [ParameterSet(self.names, row) for row in zip(*(columns[name] for name in self.names), strict=True)]
 
-    def indices(self, values: Mapping[str, Value], field_name: str = "parameters") -> Indices:
-        """Returns grid indices of the searched parameters, shape (n_searched,). Raises InvalidInputError naming each faulty value."""
+    def indices(
+        self, values: Mapping[str, Value], field_name: str = "parameters", owners: Mapping[str, str] | None = None
+    ) -> Indices:
+        """Returns grid indices of the searched parameters, shape (n_searched,). Raises InvalidInputError naming each faulty value, and
+        in the place of missing coefficients their `owners`, curves and maps."""
         problems = [
             Problem(f"{field_name}.{name}", "there is no such parameter", f"one of {', '.join(self.names)}")
             for name in values
             if name not in self.names
         ]
-        indices: list[int] = []
+        indices, missing = list[int](), dict[str, None]()
         for parameter in self.searched:
             path = f"{field_name}.{parameter.name}"
             if parameter.name not in values:
-                problems.append(Problem(path, "the value is missing", "give one value per parameter"))
+                missing[(owners or {}).get(parameter.name, parameter.name)] = None
                 continue
             try:
                 indices.append(parameter.index(values[parameter.name], path))
             except InvalidInputError as error:
                 problems.extend(error.problems)
+        if missing:
+            path = field_name if len(missing) > 1 else f"{field_name}.{next(iter(missing))}"
+            problems.append(Problem(path, f"the value of {', '.join(missing)} is missing", "give one value per parameter"))
         for name, fixed in self.fixed.items():
             if name in values and values[name] != fixed:
                 problems.append(Problem(f"{field_name}.{name}", f"{values[name]} is not the fixed one", f"give {shown(fixed)}"))

@@ -231,7 +231,10 @@ def test_the_problem_s_baseline_is_the_default() -> None:
     assert baseline.floats["warning"] == "sound"
     narrow = [{"name": "jerk", "lower": 40, "upper": 80, "step": 2}]
     held = {"trigger_ttc": 2, "deceleration": 7, "confirmations": 2, "warning": "sound"}
-    problem = resolved(parameters=narrow, fixed=held)
+    problem = resolved(bundle(constraints=["jerk <= 70", "deceleration <= 8"]), parameters=narrow, fixed=held)
+    assert [note for note in problem.notes if "<=" in note] == [
+        "sets that break jerk <= 70 are replaced by feasible ones near them"
+    ]
     assert problem.baseline is None
     assert any("baseline" in note for note in problem.notes)
     assert problem.space.searched[0].unit == "m/s³"

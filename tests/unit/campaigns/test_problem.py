@@ -106,7 +106,7 @@ def test_an_analysis_that_probably_saves_less_than_it_takes_is_noted() -> None:
         ({"sensitivity": None, "optimizer": None}, "optimizer", "nothing to do"),
         ({"fixed": {"P9": 5.05}}, "fixed.P9", "5 or 5.1"),
         ({"fixed": MIDDLE}, "fixed", "nothing to search"),
-        ({"baseline": {"P1": 0.5}}, "baseline.P2", "missing"),
+        ({"baseline": {"P1": 0.5}}, "baseline", "the value of P2, P3, "),
         ({"baseline": MIDDLE | {"P1": 99}}, "baseline.P1", "-15 to 14"),
     ],
 )

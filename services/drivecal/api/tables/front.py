@@ -134,6 +134,8 @@ def bound_text(bound: Bound) -> str:
     if bound.rate is not None:
         what = "that fail" if bound.value.measure == FAILED else f"without {kept}"
         return f"share of runs {what} <= {bound.rate:g}, at {bound.confidence:g} ({', '.join(bound.shares)})"
+    if bound.value.change is not None:  # of the set, whatever the scenario
+        return kept
     return f"{_aggregate_text(bound)} of {kept} ({', '.join(bound.shares)})"
 
 

@@ -147,8 +147,9 @@ def note_search(optimization: Optimization | None, constraints: Constraints | No
     if optimization is None or constraints is None:
         return ()
     notes: list[str] = []
-    if constraints:
-        notes.append(f"sets that break {', '.join(constraints.listed)} are replaced by feasible ones near them")
+    free = {parameter.name for parameter in constraints.space.searched}
+    if breakable := [text for text, names in constraints.read.items() if names & free]:
+        notes.append(f"sets that break {', '.join(breakable)} are replaced by feasible ones near them")
     choices = [parameter.name for parameter in constraints.space.searched if parameter.choices]
     if choices and optimization.plugin.name == ORDERING:
         notes.append(f"{optimization.plugin.name} treats the choices of {', '.join(choices)} as ordered, as they are listed")

@@ -161,7 +161,8 @@ def given_set(
         return None
     try:
         values = {name: _value(value) for name, value in settings.items()}
-        made = space.parameter_set(space.indices(values, field).tolist())
+        owners = {each: name for name, shape in shapes.items() for each in shape.names}
+        made = space.parameter_set(space.indices(values, field, owners).tolist())
         constraints.check(made, field)
     except InvalidInputError as error:
         diagnostics.problems.extend(error.problems)
