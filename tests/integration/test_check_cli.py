@@ -141,9 +141,12 @@ def test_a_set_of_a_campaign_is_checked_in_its_scenarios_and_its_vehicle_without
     fixed = {f"P{number}": 0.25 for number in range(2, 12)}
     space = [{"name": "P1", "lower": 0, "upper": 1, "step": 0.1}]
     settings = {"vehicle": {"parameters": {"mass": 2500}}, "parameters": space, "fixed": fixed, "evaluator": "learned"}
-    campaign = searched(checking, catalogue=["S1", "S3"], **settings)
+    campaign = searched(checking, catalogue=["S1", "S3"], weights={"S1": 3}, **settings)
     before = len(checking.backend.sent)
-    assert checking(f"{campaign}#1", "--baseline", f"{campaign}#2").exit_code == 0
+    checked = json.loads(checking(f"{campaign}#1", "--baseline", f"{campaign}#2", "--json").stdout)
+    with Client(checking.api.url) as client:
+        best, second = (each.objective for each in client.solutions(campaign, limit=2).items)
+    assert [checked[name] for name in ("objective", "baseline", "gain")] == pytest.approx([best, second, best - second])
     assert len(checking.backend.sent) == before
     assert checking(f"{campaign}#1", "--limits", limited).exit_code == 2
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import escape  # writes only
 
-from drivecal.bundles import units
 from drivecal.calibration_data import cdfx, dcm, files
-from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, quoted
+from drivecal.calibration_data.characteristics import INDEX, Characteristic, decoded, other_units, quoted
 from drivecal.calibration_data.sections import AXES, SINGLE, joined
 from drivecal.contracts.input_errors import nearest
 from drivecal.contracts.strict_json import shown
@@ -41,8 +40,8 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
     body = held.removeprefix(mark)
     content = dcm.read_text(body.decode("latin-1"), file) if ending == "dcm" else cdfx.read(body, file)  # places count bytes
     read = content.characteristics
-    if ending == "dcm":  # whose units have the file's own encoding
-        read = [replace(each, unit=own.unit) for each, own in zip(read, dcm.read(body, file).characteristics, strict=True)]
+    if ending == "dcm":  # whose texts have the file's own encoding
+        read = [_placed(own, each) for own, each in zip(dcm.read(body, file).characteristics, read, strict=True)]
     known = {each.name: each for each in joined([read])}
     changed = replaced(known, chosen, file)
     names = {each.name for each in chosen} | {name for name, each in known.items() if changed[name] != each}
@@ -54,6 +53,11 @@ def carried(base: Path, form: files.CalibrationFormat, chosen: Sequence[Characte
         pieces += [body[end:begin], text.encode("ascii", "xmlcharrefreplace") if ending == "cdfx" else text.encode()]
         end = last
     return b"".join([*pieces, body[end:]])
+
+
+def _placed(own: Characteristic, counted: Characteristic) -> Characteristic:
+    axes = tuple(replace(axis, places=other.places) for axis, other in zip(own.axes, counted.axes, strict=True))
+    return replace(own, axes=axes, places=counted.places)
 
 
 def _origins(
@@ -109,12 +113,14 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
                 message = f"{shown(file, 200)} has the number of a choice, and no text"
                 problem = Problem(shown(name), message, "give a base with the text (TEXT of a DCM, VT of a CDFX)")
             problems.append(old.fault or problem)
-        elif units.surely_differ(old.unit, new.unit):
-            message = f"{shown(file, 200)} has it in {old.unit}, and the problem in {new.unit}"
-            problems.append(Problem(shown(name), message, "give a base in the problem's units"))
+        remedy, differing = "give a base in the problem's units", other_units(old, new) if fits else ()
+        problems += [Problem(shown(name), f"{shown(file, 200)} has {each}", remedy) for each in differing]
         result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))
-    missing = f"{shown(file, 200)} does not have it"
-    problems += [Problem(shown(name), missing, nearest(name, list(known))) for name in sorted(unknown - known.keys())]
+    missing, free = f"{shown(file, 200)} does not have it", [name for name in known if name not in given]
+    problems += [
+        Problem(shown(name), missing, nearest(name, free) if free else "give a base that has it")
+        for name in sorted(unknown - known.keys())
+    ]
     if problems:
         raise InvalidInputError(*problems)
     return result

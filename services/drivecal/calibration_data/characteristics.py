@@ -1,17 +1,16 @@
 """The common content of calibration files: characteristics, and the origin of their values."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivecal.bundles import units
 from drivecal.contracts.strict_json import shown
 from drivecal.domain.errors import InvalidInputError, Problem
 
 LARGEST_FILE = 256 << 20
 MOST_CHARACTERISTICS = 1_000_000
-UNITLESS = frozenset({"", "-", "1"})
-"""Units of numbers without a unit; drivecal's is `1`, that of calibration files `-`."""
 INDEX = "INDEX"  # kind of the axes of arrays, whose points are 0, 1, ...
 Places = tuple[tuple[int, int], ...]
 """Begin and end of each number in the text of a DCM, or the bytes of a CDFX."""
@@ -84,6 +83,13 @@ class Characteristic:
         return list(self.values) if len(self.axes) == 1 else [list(column) for column in zip(*self.rows, strict=True)]
 
 
+def other_units(held: Characteristic, wanted: Characteristic) -> Iterator[str]:
+    """Yields each unit of values or axes that a file `held` and that is none of the problem's."""
+    axes = zip("xy", held.axes, wanted.axes, strict=False)
+    pairs = [("it", held.unit, wanted.unit), *((f"its axis {letter}", one.unit, other.unit) for letter, one, other in axes)]
+    yield from (f"{what} in {unit}, and the problem in {own}" for what, unit, own in pairs if not units.agree(unit, own))
+
+
 @dataclass(frozen=True, slots=True)
 class Quality:
     """Quality data of a chosen set, in the terms of CDF's history.
@@ -126,8 +132,8 @@ class Content:
 
 
 def unit_of(text: str) -> str:
-    """Returns drivecal's unit for that of a file."""
-    return "1" if text.strip() in UNITLESS else text.strip()
+    """Returns drivecal's unit for that of a file: `1` for `-`."""
+    return "1" if text.strip() in units.WITHOUT else text.strip()
 
 
 def decoded(content: bytes, file: str) -> str:

@@ -75,7 +75,7 @@ def _joined(known: Characteristic, new: Characteristic) -> Characteristic:
     if len(known.axes) != len(new.axes):
         message = f"it has {len(known.axes)} axes in a file, and {len(new.axes)} in another"
         new = replace(new, fault=Problem(shown(new.name), message, "give files of one version, or leave it out by --match"))
-    if units.surely_differ(known.unit, new.unit):
+    if units.agree(known.unit, new.unit) is False:
         message = f"it is in {known.unit} in a file, and in {new.unit} in another"
         new = replace(
             new, fault=new.fault or Problem(shown(new.name), message, "give files in one unit, or leave it out by --match")

@@ -1,6 +1,8 @@
 """Units as texts. Compares units that are equal and written differently, such as m/s², m/s^2, m/s2 and m.s-2."""
 
+import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 
 _CHARACTERS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹\u00b5\u2126\u212a\u2212\u22c5\u2219", "-0123456789\u03bc\u03a9K-\u00b7\u00b7")
@@ -10,8 +12,16 @@ _GROUP = re.compile(r"/\(([^()/]+)\)")
 LONGEST = 200
 """Characters of a unit that is read: files of others have any number of spaces."""
 WITHOUT = frozenset({"", "-", "1"})
-PLAIN = frozenset({"m", "km", "s", "min", "h", "kg", "t", "kN", "deg", "K", "A", "kW", "bar", "mph"})
-"""Symbols that all tools write alike, and none the product of others."""
+_SIZES = {
+    "m": (1.0, "m"), "kmh": (1 / 3.6, "m/s"), "mph": (0.44704, "m/s"), "g": (1e-3, "kg"), "t": (1e3, "kg"), "A": (1.0, "A"),
+    "K": (1.0, "K"), "s": (1.0, "s"), "min": (60.0, "s"), "h": (3600.0, "s"), "Hz": (1.0, "1/s"), "rpm": (1 / 60, "1/s"), "U": (1.0, "1"),
+    "%": (0.01, "1"), "rad": (1.0, "1"), "deg": (math.pi / 180, "1"), "°": (math.pi / 180, "1"), "N": (1.0, "kg.m/s2"),
+    "Ns": (1.0, "kg.m/s"), "Nm": (1.0, "kg.m2/s2"), "J": (1.0, "kg.m2/s2"), "Ws": (1.0, "kg.m2/s2"), "Wh": (3600.0, "kg.m2/s2"),
+    "W": (1.0, "kg.m2/s3"), "Pa": (1.0, "kg/m/s2"), "bar": (1e5, "kg/m/s2"), "V": (1.0, "kg.m2/s3/A"), "\u03a9": (1.0, "kg.m2/s3/A2"),
+    "As": (1.0, "A.s"), "Ah": (3600.0, "A.s"),
+}  # fmt: skip
+"""Sizes of symbols in base units. `U` counts revolutions."""
+_PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "h": 1e2, "d": 1e-1, "c": 1e-2, "m": 1e-3, "\u03bc": 1e-6, "n": 1e-9}
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
 
@@ -44,10 +54,26 @@ def same(unit: str, other: str) -> bool:
     return counted[0] == counted[1]
 
 
-def surely_differ(unit: str, other: str) -> bool:
-    """Returns whether two texts are different units beyond doubt: `rpm` and `1/min` may be one, and a file may lack a unit."""
-    counted = [powers(each) or {} for each in (unit, other)]
-    return counted[0] != counted[1] and all(each and PLAIN.issuperset(each) for each in counted)
+def agree(unit: str, other: str) -> bool | None:
+    """Returns whether two texts are units of one size, such as N·s and Ns, or 1/min and rpm; None if a symbol is unknown. A missing unit
+    agrees with any, as files may lack it."""
+    if {unit.strip(), other.strip()} & WITHOUT or same(unit, other):
+        return True
+    one, another = _size(unit), _size(other)
+    return None if one is None or another is None else one[1] == another[1] and math.isclose(one[0], another[0], rel_tol=1e-6)
+
+
+def _size(unit: str) -> tuple[float, Counter[str]] | None:
+    """Returns the factor and the powers of a unit in base units; None if a symbol is unknown."""
+    counted, size, total = powers(unit), 1.0, Counter[str]()
+    for symbol, power in () if counted is None else counted.items():
+        prefix = next((each for each in _PREFIXES if symbol.startswith(each) and symbol.removeprefix(each) in _SIZES), None)
+        if prefix is None:
+            return None
+        factor, base = _SIZES[symbol.removeprefix(prefix)]
+        size *= (_PREFIXES[prefix] * factor) ** power
+        total.update({name: times * power for name, times in (powers(base) or {}).items()})
+    return None if counted is None else (size, total)
 
 
 def spellings(stated: str | None, base: Mapping[str, float] | None) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from tests.support.values import faults_of
 from drivecal.bundles.checks import checked
 from drivecal.bundles.fingerprints import setup_document
 from drivecal.bundles.manifest import Manifest
-from drivecal.bundles.units import powers, same
+from drivecal.bundles.units import agree, powers, same
 
 
 def document(simulator: Any = None, city: Any = None) -> dict[str, Any]:
@@ -74,6 +74,11 @@ def test_spellings_of_a_unit_are_the_same(spellings: tuple[str, ...]) -> None:
 
 def test_different_units_are_not_the_same() -> None:
     assert not any(same(row[0], other[0]) for row, other in combinations(SPELLINGS, 2))
+
+
+def test_units_of_one_size_agree_and_an_unknown_symbol_leaves_it_open() -> None:
+    for unit, others in {"kN*s/m": ("kNs/m", "kN", "foo"), "rpm": ("1/min", "1/s", "turns"), "Nm": ("J", "mNm", "Nmm")}.items():
+        assert [agree(unit, other) for other in ("", unit, *others)] == [True, True, True, False, None]
 
 
 @pytest.mark.parametrize("text", ["m//s", "m/", "2m", "s, m, m", "m^", "/", "²"])

@@ -171,16 +171,20 @@ def test_a_base_keeps_the_form_of_whole_numbers_and_refuses_other_units(tmp_path
     base, speed = tmp_path / f"b.{form}", Characteristic("v", 10.0, "m/s²")
     base.write_bytes(FORMS[form].write([replace(speed, value=7)]))
     assert carried(base, form, [speed]) == FORMS[form].write([replace(speed, value=10)])
-    base.write_bytes(FORMS[form].write([replace(speed, unit="km/h²")]))
-    assert faulty_fields(carried, base, form, [speed]) == ["v"]
+    table = Characteristic("c", None, "m/s²", kind="CURVE", axes=(Axis("STD_AXIS", (1.0, 2.0), "µm"),), values=(5.0, 6.0))
+    for held in (replace(speed, unit="km/h²"), replace(table, axes=(replace(table.axes[0], unit="nm"),))):
+        base.write_bytes(FORMS[form].write([held]))
+        assert faulty_fields(carried, base, form, [speed if held.name == "v" else table]) == [held.name]
     other = [
         Characteristic("turn", 7.0, "U/min"),
         Characteristic("Größe", 1.0, "µm"),
         Characteristic("mode", "2", choices=("2", "3.0")),
     ]
     base.write_bytes(FORMS[form].write(other))
-    chosen = [replace(other[0], value=8.0, unit="1/s"), replace(other[2], value="3.0")]
+    chosen = [replace(other[0], value=8.0, unit="rpm"), replace(other[2], value="3.0")]
     assert carried(base, form, chosen) == FORMS[form].write([replace(other[0], value=8.0), other[1], chosen[1]])
+    with pytest.raises(InvalidInputError, match=r"give a base that has it"):
+        carried(base, form, [*chosen, other[1], Characteristic("turns", 1.0)])
 
 
 def test_the_history_of_what_another_campaign_calibrated_stays(tmp_path: Path) -> None:

@@ -6,14 +6,14 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, stdev
 from typing import Annotated, Any, Self
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import typer
 from pydantic import Field, model_validator
 
-from drivecal.calibration_data.characteristics import INDEX, Characteristic
+from drivecal.calibration_data.characteristics import INDEX, Axis, Characteristic, other_units
 from drivecal.cli.application import ExitCode, app, code_of_state, say
 from drivecal.cli.commands.evaluate import SECONDS_BETWEEN_QUESTIONS, SeedsOption, VehicleOption, ended
 from drivecal.cli.views.output import Asked, asking, print_columns, within_text
@@ -121,6 +121,8 @@ class CheckedSet:
     problem: ProblemAnswer
     unchecked: Sequence[str] = ()
     """Constraints of the campaign that limit no scenario by itself."""
+    weights: Mapping[str, float] = field(default_factory=dict)
+    """Weights of the campaign's scenarios, 1 for others; empty without weights."""
 
     @property
     def first(self) -> Evaluation:
@@ -142,13 +144,27 @@ class CheckedSet:
         yield from (("", each) for each in self.evaluations.values())
 
     @property
+    def mean(self) -> dict[str, float | None]:
+        """The mean score of the set by the weights, and with several seeds its 95 % interval; None without a score in each scenario."""
+        from drivecal.analysis.replicates import interval  # takes a part of a second
+
+        if self.first.objective is None or not self.weights:
+            return {name: getattr(self.first, name) for name in ("objective", *INTERVAL)}
+        means = self._by_seed(self.first.items)
+        spread = (stdev(means) / len(means) ** 0.5, *interval(means, None, 0.95)) if len(set(means)) > 1 else (None, None, None)
+        return dict(zip(("objective", *INTERVAL), (fmean(means), *spread), strict=True))
+
+    @property
     def beside_baseline(self) -> dict[str, dict[str, float]]:
         """By score, the mean of the set, that of the baseline, and the gain over it as `gain` has it; only scores with both means."""
         compared = {}
         for score, before in self.baseline.items():
             each = self.evaluations[score]
             if each.objective is not None and before.objective is not None:
-                known = each.objective, before.objective, *self.gain(score, each.items, before.items)
+                known = (
+                    *(fmean(self._by_seed(cells.items)) for cells in (each, before)),
+                    *self.gain(score, each.items, before.items),
+                )
                 compared[score] = dict(zip(("mean", "baseline", "gain", "gain_lower", "gain_upper"), known, strict=False))
         return compared
 
@@ -156,11 +172,16 @@ class CheckedSet:
         """Returns the mean gain over the baseline, and with several seeds its 95 % interval, without what a seed does to both."""
         from drivecal.analysis.replicates import interval  # takes a part of a second
 
-        runs, others = (zip(*(cell.scores or [cell.score] for cell in side), strict=True) for side in (cells, before))
         sign = -1 if self.problem.scores[score]["direction"] == "minimise" else 1
-        gains = [sign * (fmean(map(float, run)) - fmean(map(float, other))) for run, other in zip(runs, others, strict=True)]
+        gains = [sign * (own - other) for own, other in zip(self._by_seed(cells), self._by_seed(before), strict=True)]
         ends = interval(gains, None, 0.95) if len(gains) > 1 else ()
         return [fmean(gains), *(end for end in ends if end is not None)]
+
+    def _by_seed(self, cells: Sequence[EvaluatedCell]) -> list[float]:
+        """Returns the mean score of the cells under each seed by the weights."""
+        weights = [self.weights.get(cell.scenario, 1.0) for cell in cells]
+        runs = zip(*(cell.scores or [cell.score] for cell in cells), strict=True)
+        return [fmean(map(float, run), weights if any(weights) else None) for run in runs]
 
     def findings(self, limits: Sequence[SetLimit]) -> Iterator[Finding]:
         """Yields a finding for each scenario, which needs a result, and for each limit in its scenarios."""
@@ -289,7 +310,8 @@ def check(
         values = _values(before.parameters, own, known.shapes)
         compared = _evaluated(client, settings | {"parameters": values}, evaluators, wait, fresh=fresh)
     document = settings | {"parameters": _values(parameters, own, known.shapes)}
-    checked = CheckedSet(_evaluated(client, document, evaluators, wait, fresh=fresh), compared, known, unchecked)
+    evaluations = _evaluated(client, document, evaluators, wait, fresh=fresh)
+    checked = CheckedSet(evaluations, compared, known, unchecked, spec.get("weights") or {})
     findings, label = list(checked.findings(wanted)), chosen if variant is None else f"{chosen} for {variant}"
     if junit is not None:
         with file_faults(junit, "written", "give another file"):
@@ -302,12 +324,13 @@ def check(
     def show() -> None:
         columns = [name for name in COLUMNS if name not in OF_SEEDS or any(cell.scores for cell in checked.first.items)]
         print_columns(columns, [[row[name] for name in columns] for row in _rows(checked, findings)])
-        if within := within_text(checked.first.lower, checked.first.upper):
-            typer.echo(f"mean score of the scenarios, without weights: {score_text(checked.first.objective)}{within}")
+        mean, by = checked.mean, "by the campaign's weights" if checked.weights else "without weights"
+        if within := within_text(mean["lower"], mean["upper"]):
+            typer.echo(f"mean score of the scenarios, {by}: {score_text(mean['objective'])}{within}")
         for score, beside in checked.beside_baseline.items():
             within = within_text(beside.get("gain_lower"), beside.get("gain_upper"))
             paired = f"{beside['gain']:.4g}{within and f'{within} by equal seeds'}"
-            means = f"mean {score} {score_text(beside['mean'])}, of the baseline {score_text(beside['baseline'])}"
+            means = f"mean {score} {by} {score_text(beside['mean'])}, of the baseline {score_text(beside['baseline'])}"
             typer.echo(f"{means}; gain over it, below 0 for a loss: {paired}")
         if findings:
             tried = "; ".join(dict.fromkeys(finding.limit for finding in findings))
@@ -402,18 +425,19 @@ def _vehicle(settings: Mapping[str, Any], differing: Mapping[str, Any]) -> Mappi
 def _refuse_another_form(given: GivenSet, problem: ProblemAnswer) -> None:
     """Raises InvalidInputError if values have other units or belong to other points than in the problem; a parameter such as `gain.x` is
     such points."""
-    from drivecal.bundles import units
-
     shapes = problem.shapes
-    own_units = {name: str(entry.get("unit", "1")) for name, entry in problem.parameters.items()}
-    own_units |= {name: shape.unit for name, shape in shapes.items()}
+    wanted = {name: Characteristic(name, unit=str(entry.get("unit", "1"))) for name, entry in problem.parameters.items()}
+    wanted |= {
+        name: Characteristic(name, unit=shape.unit, axes=tuple(Axis("", unit=unit) for unit in shape.axis_units))
+        for name, shape in shapes.items()
+    }
     for name, each in given.read.items():
-        unit, wanted = each.unit, own_units.get(name, each.unit)
-        if name in own_units and each.fault is not None:
+        if name in wanted and each.fault is not None:
             raise InvalidInputError(each.fault)
-        if not {unit, wanted} & units.WITHOUT and not units.same(unit, wanted):
-            message = f"it is in {unit}, and the problem has it in {wanted}"
-            raise InvalidInputError(Problem(f"parameters.{name}", message, "give a set in the problem's units"))
+        for differing in other_units(each, wanted.get(name, each)):
+            raise InvalidInputError(
+                Problem(f"parameters.{name}", f"the file has {differing}", "give a set in the problem's units")
+            )
     for name, shape in shapes.items():
         for letter, own, points in zip("xy", given.axes.get(name, ()), shape.axes, strict=False):
             same = all(math.isclose(one, other, rel_tol=1e-6, abs_tol=1e-6) for one, other in zip(own, points, strict=False))
@@ -509,7 +533,7 @@ def _document(checked: CheckedSet, findings: Sequence[Finding]) -> dict[str, Any
     return {
         "passed": all(finding.broken is None for finding in findings),
         "notes": checked.notes,
-        **{name: getattr(checked.first, name) for name in ("objective", *INTERVAL)},
+        **checked.mean,
         **{name: value for name, value in next(iter(beside.values()), {}).items() if name != "mean"},
         "beside_baseline": beside,
         "scenarios": list(_rows(checked, findings, "")),
