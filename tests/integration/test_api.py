@@ -77,7 +77,7 @@ def test_a_rerun_takes_over_everything_but_what_is_changed(api: RunningApi) -> N
     second = response.json()
     assert response.headers["location"] == second["links"]["self"] != first["links"]["self"]
     assert second["rerun_of"] == first["id"]
-    assert second["name"] == "small (rerun)"
+    assert second["name"] == "small (rerun: weights, optimizer)"
     assert second["spec"]["weights"] == {"S1": 2}
     expected = first["spec"]["optimizer"] | {"iterations": 4}
     assert second["spec"]["optimizer"] == expected

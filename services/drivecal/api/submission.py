@@ -1,5 +1,6 @@
 """Submission of campaigns and evaluations: checked, once per Idempotency-Key, whole or not at all."""
 
+import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -265,18 +266,15 @@ def _pinned(connection: Connection, stored: StoredCampaign, problem: Calibration
 
 def _changed(first: StoredCampaign, used: StoredInfluenceMap | None, changes: RerunSpecification) -> dict[str, Any]:
     """Returns the first campaign's specification with the changes and the influence map that it `used`."""
-    document = dict(first.spec)
-    document["weights"] = dict(changes.weights)
-    document["name"] = changes.name or f"{first.name.removesuffix(' (rerun)')[:190]} (rerun)"
+    given_in = changes.model_dump(mode="json", include={"problem", "evaluator", "budget"}, exclude_none=True)
+    document: dict[str, Any] = dict(first.spec) | given_in | {"weights": dict(changes.weights)}
+    differing = [*given_in, *(each for each in ("optimizer", "reduction") if getattr(changes, each) is not None)]
+    why = ", ".join([*(["weights"] if changes.weights != first.spec.get("weights") else []), *differing])
+    document["name"] = changes.name or f"{re.sub(r' [(]rerun[^()]*[)]$', '', first.name)[:130]} (rerun{why and f': {why}'})"
     for section in ("optimizer", "reduction"):
         given: BaseModel | None = getattr(changes, section)
         if given is not None:
             document[section] = _merged(document[section], given.model_dump(mode="json", exclude_unset=True))
-    if changes.budget is not None:
-        document["budget"] = changes.budget.model_dump(mode="json")
-    for name in ("evaluator", "problem"):
-        if getattr(changes, name) is not None:
-            document[name] = getattr(changes, name)
     is_default = document["reduction"].get("mode") == ReductionSpecification().mode and document["sensitivity"] is None
     if (
         changes.evaluator is not None
