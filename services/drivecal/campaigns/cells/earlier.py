@@ -133,11 +133,7 @@ def unclaimed(connection: Connection, digest: str, manifest: Manifest) -> list[s
         " `added: {NAME: VALUE}`, `removed` or `renamed` in problem.yaml"
         for name in sorted((manifest.parameters.keys() ^ earlier.parameters.keys()) - claimed)
     ]
-    if changed and (notes or claimed):
-        notes.append(
-            f"{', '.join(changed[:5])} changed, so runs of the push before answer nothing: claims speak of runs of unchanged files"
-        )
-    return notes
+    return notes + ([f"{', '.join(changed[:5])} changed: runs of the push before answer nothing"] if changed else [])
 
 
 def sample(
