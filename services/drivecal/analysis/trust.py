@@ -32,8 +32,8 @@ from drivecal.contracts.tables import ValidationRow
 from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.rounding import grain
 
-FEW = 0.01
-"""Largest share of cells without a result or a score that leaves a search as good as a search without such cells."""
+FEW = 0.1
+"""Largest share of cells without a result or a score of their own that is no doubt: none of them is of the best set."""
 LONG = 3
 """Least number of iterations that gives a search time to improve its first result."""
 NEARLY = 80
@@ -173,7 +173,6 @@ def trust(campaign: Campaign, known: Evidence | None = None) -> ResultTrust:
         *_predictions(campaign, _newest(known.studies, of_predictions=True)),
         *_noise(campaign),
         *_failures(campaign, known),
-        *_cut(campaign, known),
         *_robustness(campaign, known.studies),
     ]
     verdicts.sort(key=lambda each: _ORDER.index(each.light))
@@ -540,7 +539,8 @@ def _noise(campaign: Campaign) -> Iterator[ResultVerdict]:
 
 
 def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
-    cells, judged = campaign.cells, known.chosen or campaign.best
+    """Yields the verdicts on failed runs, cells without a result or a score, and scores cut off at the worth of a failed run."""
+    judged = known.chosen or campaign.best
     if judged is not None and judged.failure_interval is not None:
         least, most = judged.failure_interval
         rates = map(ConstraintSpecification.model_validate, campaign.spec.get("constraints") or ())
@@ -548,23 +548,16 @@ def _failures(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
         failing: Light | Literal["neutral"] = "amber" if judged.failures and least + most > 2 * rate else "neutral"
         light, subject = "red" if 0 < rate < least else failing, "the best set" if known.chosen is None else "the chosen set"
         yield verdict("failing_runs", light, subject=subject, failures=judged.failures, most=most)
-    for count, code in ((cells.failed, "without_result"), (cells.unscored, "without_score")):
-        if count:
-            share = count / max(1, cells.requested)
-            yield verdict(code, "amber" if share > FEW else "neutral", count=count, requested=cells.requested, share=share)
-
-
-def _cut(campaign: Campaign, known: Evidence) -> Iterator[ResultVerdict]:
-    """Yields the verdicts on scores that were cut off at the worth of a failed run."""
-    cut, requested = (sum(getattr(cells, name) for cells in campaign.stages.values()) for name in ("cut", "requested"))
     if known.at_worst:
-        subject = (
-            "the chosen set" if known.chosen is not None else "the best set" if known.front is None else "the front's sets"
-        )
+        subject = "the chosen set" if known.chosen else "the best set" if known.front is None else "the front's sets"
         yield verdict("at_worst", "amber", subject=subject, values=list(known.at_worst))
-    if cut:
-        share = cut / max(1, requested)
-        yield verdict("cut", "amber" if share > FEW else "neutral", count=cut, share=share)
+    cut = [sum(getattr(cells, name) for cells in campaign.stages.values()) for name in ("cut", "requested")]
+    cells = campaign.cells
+    lost = ("without_result", cells.failed, cells.requested), ("without_score", cells.unscored, cells.requested)
+    for code, count, requested in (*lost, ("cut", *cut)):
+        if count:
+            share = count / max(1, requested)
+            yield verdict(code, "amber" if share > FEW else "neutral", count=count, requested=requested, share=share)
 
 
 def _robustness(campaign: Campaign, studies: Sequence[StudyResult]) -> Iterator[ResultVerdict]:
