@@ -69,7 +69,7 @@ def rerun(
         typer.Option(help="Another score: one of the problem's, reference, learned or a plug-in; it rates stored runs."),
     ] = None,
     problem: Annotated[str | None, typer.Option(help="Another push of the problem, e.g. with another formula.")] = None,
-    budget: Annotated[int | None, typer.Option(min=1, metavar="N", help="Simulations of the search.")] = None,
+    budget: Annotated[int | None, typer.Option(min=1, metavar="N", help="Simulations (surrogate: and stored answers).")] = None,
     name: Annotated[str | None, typer.Option(help="A name for the rerun.")] = None,
     wait: WaitOption = False,
     timeout: TimeoutOption = None,
