@@ -130,9 +130,11 @@ class ParameterImportance(Answer):
     importance: float
     lower: float
     upper: float
+    covered: float
+    """Share of its range that the middle 80 % of the sets cover: 0.8 if they were drawn evenly."""
 
 
-WEAK, CLEAR = 0.5, 0.025
+WEAK, CLEAR, WIDE = 0.5, 0.025, 0.4
 
 
 class ImportanceAnswer(Answer):
@@ -148,6 +150,10 @@ class ImportanceAnswer(Answer):
     r2: float | None = None
     weak: float = WEAK
     """`r2` below which importances mean little."""
+    covered: float | None = None
+    """Mean over the parameters of the share of the range that the middle 80 % of the sets cover."""
+    wide: float = WIDE
+    """`covered` below which importances, and their order, hold near these sets only."""
     scenarios: list[str] = Field(default_factory=list)
     """With too few complete sets, the scenarios whose mean it is, each by its share in the variation of the objective; else empty. `sets`
     and `held_out` are the largest ones of the scenarios, and `r2` is their mean."""

@@ -23,7 +23,7 @@ from drivecal.cli.views.output import cells_text, duration, print_campaign, prin
 from drivecal.cli.views.progress import Bar, Lines
 from drivecal.contracts.campaign import Baseline, Best, Campaign, CellCounts, ErrorRate, Progress, Seconds
 from drivecal.contracts.evaluation import Difference
-from drivecal.contracts.results import ImportanceAnswer
+from drivecal.contracts.results import ImportanceAnswer, ParameterImportance
 from drivecal.contracts.tables import ImportedRow
 from drivecal.domain.scales import objective_text
 
@@ -52,15 +52,18 @@ def test_results_from_elsewhere_show_curves(monkeypatch: pytest.MonkeyPatch) -> 
     assert ("g=[" in printed, "c2=" in printed) == (True, False)
 
 
-def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = [("a", 0.1, 0.0, 0.3), ("b", 0.8, 0.5, 0.9), ("c", 0.0, 0.0, 0.01)]
-    items = [{"parameter": key, "importance": n, "deviation": 0, "lower": low, "upper": high} for key, n, low, high in known]
-    answer = ImportanceAnswer.model_validate({"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items})
+@pytest.mark.parametrize("covered", [0.3, 0.8])
+def test_what_matters_is_printed_first(monkeypatch: pytest.MonkeyPatch, covered: float) -> None:
+    known = [("a", 0.1, 0.0, 0.3, 0.8), ("b", 0.8, 0.5, 0.9, 0.1), ("c", 0.0, 0.0, 0.01, 0.8), ("d", -0.1, 0.0, 0.01, 0.1)]
+    items = [dict(zip(ParameterImportance.model_fields, each, strict=True)) for each in known]
+    facts = {"scenario": "S1", "method": "", "sets": 50, "r2": 0.9, "items": items, "covered": covered}
+    answer = ImportanceAnswer.model_validate(facts)
     client = SimpleNamespace(importance=lambda *_, scenario, variant: answer if (scenario, variant) == ("S1", "v") else None)
     monkeypatch.setattr(output, "connect", lambda _: nullcontext(client))
     lines = CliRunner().invoke(app, ["importance", "id", "--scenario", "S1", "--variant", "v"]).stdout.splitlines()
-    said = [(line.split()[0], line.split()[-1]) for line in lines if line.startswith(("a ", "b ", "c "))]
-    assert said == [("b", "matters"), ("a", "clear"), ("c", "little")]
+    said = [(line.split()[0], line.split()[-1]) for line in lines if line.startswith(("a ", "b ", "c ", "d "))]
+    assert said == [("b", "matters"), ("a", "clear"), ("c", "little"), ("d", "clear")]
+    assert ("sound" in lines[0]) == (covered == 0.8), "crowded sets tell nothing of the rest"
 
 
 def test_a_rerun_may_have_another_budget(monkeypatch: pytest.MonkeyPatch) -> None:

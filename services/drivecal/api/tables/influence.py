@@ -85,8 +85,8 @@ def _bounds(influence: Influence, parameter: Parameter | None) -> tuple[bool, De
 
 
 NEAR = (
-    "these are the sets that the search asked for: a parameter that explains little of how they differ may matter elsewhere, however"
-    " narrow its interval; a sensitivity analysis or a random search shows whether it does"
+    "the order of the parameters holds near the sets of the search only: one that explains little of how they differ may matter"
+    " elsewhere, however narrow its interval; a sensitivity analysis or a random search shows whether it does"
 )
 METHOD = f"permutation: half the loss of R² on a held-out {100 * HELD_OUT:.0f} %, by {TREES} extremely randomised trees"
 
@@ -107,9 +107,9 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
     def of(values: Mapping[int, float]) -> Importances | None:
         sets = stored.database.query(parameter_sets.load, list(values))
         rows = [[parameter.nearest(sets[number].floats[parameter.name]) for parameter in searched] for number in values]
-        return importances(
-            np.array(rows, dtype=np.float64).reshape(len(values), len(searched)), np.array(list(values.values()))
-        )
+        features = np.array(rows, dtype=np.float64).reshape(len(values), len(searched))
+        shares = features / [parameter.n_values - 1 for parameter in searched]
+        return importances(shares, np.array(list(values.values())))
 
     if scenario is not None:
         own = ranked.ranking.own_scores(scenario)
@@ -125,15 +125,14 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
         result = mean_of(list(zip(variations, known.values(), strict=True))) if sum(variations) > 0.0 else None
     if result is None or result.r2 <= 0.0:
         note = "the sets that were learned from tell nothing of the values of the others"
-        if result is None and len(own) < LEAST_SETS:
-            note = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
-        elif result is None:
-            note = "the values of nearly all sets are the same"
+        if result is None:
+            few = f"{len(own)} sets have values of their own, and {LEAST_SETS} are needed"
+            note = few if len(own) < LEAST_SETS else "the values of nearly all sets are the same"
         return ImportanceAnswer(scenario=scenario, method=METHOD, sets=len(own), notes=[note])
-    figures = (each.tolist() for each in (result.mean, result.lower, result.upper))
+    figures = (each.tolist() for each in (result.mean, result.lower, result.upper, result.spread))
     items = [
-        ParameterImportance(parameter=parameter.name, importance=mean, lower=lower, upper=upper)
-        for parameter, mean, lower, upper in zip(searched, *figures, strict=True)
+        ParameterImportance(parameter=parameter.name, importance=mean, lower=lower, upper=upper, covered=spread)
+        for parameter, mean, lower, upper, spread in zip(searched, *figures, strict=True)
     ]
     items.sort(key=lambda item: -item.importance)
     return ImportanceAnswer.of(
@@ -141,6 +140,7 @@ def importance(stored: StoredRanking, query: ImportanceOf) -> ImportanceAnswer:
         scenario=scenario,
         method=METHOD,
         scenarios=list(known),
+        covered=result.spread.mean(),
         notes=_notes(stored, scenario, items, result.r2),
         items=items,
     )

@@ -238,15 +238,18 @@ def print_ranked(
 
 def print_importance(answer: ImportanceAnswer) -> None:
     """Prints parameters by their importance, the largest first."""
-    if answer.r2 is not None:
+    if answer.r2 is not None and answer.covered is not None:
         of = f"the score in {answer.scenario}" if answer.scenario else "the objective"
-        typer.echo(f"{of}, {answer.sets:,} sets; R² of the prediction {answer.r2:.2f}, {answer.weak:g} or more is sound\n")
+        sound = f"{answer.weak:g} or more is sound" if answer.covered >= answer.wide else "which holds near these sets only"
+        over = f"{answer.sets:,} sets, the middle 80 % over {100 * answer.covered:.0f} % of the ranges"
+        typer.echo(f"{of}, {over}; R² of the prediction {answer.r2:.2f}, {sound}\n")
         rows: list[list[str]] = []
         for item in sorted(answer.items, key=lambda item: -item.importance):
-            is_clear = answer.r2 >= answer.weak and not item.lower < answer.clear <= item.upper
-            said = ("matters" if item.lower >= answer.clear else "explains little") if is_clear else "not clear"
-            rows.append([item.parameter, *(f"{each:.3f}" for each in (item.importance, item.lower, item.upper)), said])
-        print_columns(["parameter", "importance", "95 % from", "to", ""], rows)
+            is_little = item.upper < answer.clear and item.covered >= answer.wide  # wherever in its range
+            said = "matters" if item.lower >= answer.clear else "explains little" if is_little else "not clear"
+            figures = (f"{each:.3f}" for each in (item.importance, item.lower, item.upper, item.covered))
+            rows.append([item.parameter, *figures, said if answer.r2 >= answer.weak else "not clear"])
+        print_columns(["parameter", "importance", "95 % from", "to", "of range", ""], rows)
         typer.echo(f"\nshare of the variation (half the loss of R² if shuffled); it matters from {answer.clear:g}")
     for note in answer.notes:
         say(f"note: {note}")
