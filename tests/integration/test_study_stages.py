@@ -201,7 +201,7 @@ def test_where_everything_matters_there_is_nothing_to_validate(database: Databas
     [
         ({"optimizer": None, "robustness": ROBUST}, "robustness", "there are no solutions to examine"),
         ({"robustness": {**ROBUST, "solutions": 0}}, "robustness.solutions", "0 examines no set"),
-        ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0].P2", "missing"),
+        ({"robustness": {**ROBUST, "sets": [{"P1": 0.5}]}}, "robustness.sets[0]", "P2"),
         ({"validation": {"samples": 10}}, "validation", "there is no influence map to validate"),
         ({"validation": {"of": "a"}}, "validation.of", "this campaign searches its own solutions"),
         (
