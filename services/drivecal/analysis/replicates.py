@@ -28,7 +28,7 @@ FIRST = 4
 """Sets that get a second run before the noise is known."""
 RATIOS = np.array([*np.logspace(-14, -6, 9), *np.logspace(-5, 1, 19)])
 """Variances of a run, in variances of the means of sets; the most probable one is taken."""
-SEED_RATIOS = (1e-8, 1e-3, 0.1, 1.0, 10.0, 1e4)
+SEED_RATIOS = (1e-12, 1e-8, 1e-3, 0.1, 1.0, 10.0, 1e4)
 """The same in variances of the effects of seeds."""
 DRAWS = 4000
 """Draws of the means of sets that tell how probably each is the best."""
@@ -317,21 +317,22 @@ def _effects(samples: Floats) -> tuple[Floats, float, float, float]:
     values[~good] -= rows[~good] * (values[~good].sum(axis=1) / counts[~good])[:, np.newaxis]
     free = np.flatnonzero(used & (np.arange(len(used)) != first))
     part, freedom = rows[:, free], counts.sum() - (~good).sum() + len(alone)
-    drawn = np.where(good, RATIOS[:, np.newaxis], 0.0)  # by ratio and set, as all that follows
+    ratios = RATIOS[:: 1 + len(free) // 60]  # many seeds tell enough of sets, and matrices are as large
+    drawn = np.where(good, ratios[:, np.newaxis], 0.0)  # by ratio and set, as all that follows
     weights = 1 / (counts + drawn)
     told = np.diag(part.sum(axis=0)) - part.T @ (part * weights[:, :, np.newaxis])
     right = values[:, free].sum(axis=0) - (weights * values.sum(axis=1)) @ part
-    constant = np.log1p(counts[good] / RATIOS[:, np.newaxis]).sum(axis=1) + len(alone) * np.log1p(1 / RATIOS)
+    constant = np.log1p(counts[good] / ratios[:, np.newaxis]).sum(axis=1) + len(alone) * np.log1p(1 / ratios)
     prior, least = np.eye(len(free)) - 1 / (len(free) + 1), np.inf  # of differences from the effect of the first seed
     for ratio in SEED_RATIOS:
-        added, design = np.zeros((len(RATIOS), len(used))), told + ratio * prior
+        added, design = np.zeros((len(ratios), len(used))), told + ratio * prior
         added[:, free] = np.linalg.solve(design, right[:, :, np.newaxis])[:, :, 0]
         left, away = values - rows * added[:, np.newaxis], ((added[:, free] @ prior) * added[:, free]).sum(axis=1)
         means = left.sum(axis=2) / counts
         within = ((left - rows * means[:, :, np.newaxis]) ** 2).sum(axis=(1, 2)) + (means**2 * counts * weights * drawn).sum(
             axis=1
         )
-        noises = np.maximum((within + ratio * away + (alone**2).sum() * RATIOS / (1 + RATIOS)) / freedom, 1e-300)
+        noises = np.maximum((within + ratio * away + (alone**2).sum() * ratios / (1 + ratios)) / freedom, 1e-300)
         improbable = freedom * np.log(noises) + constant + np.linalg.slogdet(design).logabsdet - len(free) * np.log(ratio)
         likely = int(np.argmin(improbable))
         if improbable[likely] < least:

@@ -45,7 +45,7 @@ class EvaluatedSet:
     replicates: int = 1
     """Seeds under which it has a result in every scenario."""
     failures: int = 0
-    """Failed runs under all its seeds."""
+    """Runs that failed, or have no result, under all its seeds."""
     seeds: tuple[int, ...] = ()
     """Seeds whose runs make the objective, if it ran under several."""
     standard_error: float | None = None
@@ -68,11 +68,6 @@ class EvaluatedSet:
     def choice(self) -> "EvaluatedSet":
         """The set by the seeds that choose."""
         return self.chosen_by or self
-
-    @property
-    def ranked_by(self) -> float:
-        """The objective, or what it reaches at least if its runs are random."""
-        return self.choice.objective if self.bound is None else self.bound
 
     @property
     def violation(self) -> float:
@@ -180,7 +175,7 @@ class SetJudge:
             solution = replace(reported, chosen_by=replace(solution, replicates=len(choosing)))
         elif len(fresh) > 1 and choosing is not fresh:  # no run of the report has what a constraint bounds
             return None, cells
-        failures = sum(cell.failed for cells in runs.values() for cell in cells.values())
+        failures = sum(cell.failed or cell.score is None for cells in runs.values() for cell in cells.values())
         return replace(solution, replicates=len(by_seed), failures=failures), cells
 
     def _mean(
@@ -303,8 +298,9 @@ class Ranking:
         self._assess()
         if self._levels is None:
             known = list((self._solutions | self._predicted).values())
+            reached = [-each.sign * (each.choice.objective if each.bound is None else each.bound) for each in known]
             violations = levels(np.array([each.choice.violation for each in known])).tolist()
-            objectives = levels(np.array([-each.sign * each.ranked_by for each in known]), self._judge.first.span).tolist()
+            objectives = levels(np.array(reached), self._judge.first.span).tolist()
             numbers = (each.parameter_set for each in known)
             self._levels = dict(zip(numbers, zip(violations, objectives, strict=True), strict=True))
         return self._levels
@@ -317,7 +313,7 @@ class Ranking:
         """Returns the number of a set's failed runs, and of its runs: only runs that report it, if there are any."""
         runs = self._runs[parameter_set]
         used = [seed for seed in self.seeds(parameter_set) if seed > self._choosing] or list(runs)
-        cells = [cell.failed for seed in used for cell in runs[seed].values()]
+        cells = [cell.failed or cell.score is None for seed in used for cell in runs[seed].values()]
         return sum(cells), len(cells)
 
     def noise(self) -> dict[str, float]:

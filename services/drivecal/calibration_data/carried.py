@@ -113,7 +113,7 @@ def replaced(known: Mapping[str, Characteristic], chosen: Sequence[Characteristi
                 message = f"{shown(file, 200)} has the number of a choice, and no text"
                 problem = Problem(shown(name), message, "give a base with the text (TEXT of a DCM, VT of a CDFX)")
             problems.append(old.fault or problem)
-        remedy, differing = "give a base in the problem's units", other_units(old, new) if fits else ()
+        remedy, differing = "give a base in the problem's units, or write them alike", other_units(old, new) if fits else ()
         problems += [Problem(shown(name), f"{shown(file, 200)} has {each}", remedy) for each in differing]
         result[name] = replace(old, value=new.value, values=new.values, axes=tuple(axes))
     missing, free = f"{shown(file, 200)} does not have it", [name for name in known if name not in given]

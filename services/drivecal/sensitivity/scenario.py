@@ -194,10 +194,11 @@ class ScenarioState:
         if tells_nothing(scores, self._scale):
             return
         for column, overall in enumerate(verdicts):
-            whole = "whole" in self._cut[column]
+            whole, done = "whole" in self._cut[column], self._confirmations[column]
+            is_refuted = any(each.region.side == "whole" and each.verdict.influential for each in done)
             if whole and overall.influential:
                 self._cut[column] = {}
-            elif not overall.influential and not whole and not self._is_refuted(column):
+            elif not (overall.influential or whole or is_refuted):
                 self._try([Region(column, "whole", len(self._edges[column]) - 1)])
 
     @property
@@ -254,10 +255,6 @@ class ScenarioState:
             lower, upper = self.bounds(region)
             if upper > lower:
                 self.waiting.append(region)
-
-    def _is_refuted(self, column: int) -> bool:
-        """Returns whether an analysis over the whole range found the parameter influential."""
-        return any(done.region.side == "whole" and done.verdict.influential for done in self._confirmations[column])
 
     def _verdict(self, effects: Floats, steps: Floats) -> Verdict:
         return verdict(measures(effects), steps[~np.isnan(effects)], self._threshold, self._scale)

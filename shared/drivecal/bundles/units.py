@@ -8,19 +8,20 @@ from collections.abc import Mapping
 _CHARACTERS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹\u00b5\u2126\u212a\u2212\u22c5\u2219", "-0123456789\u03bc\u03a9K-\u00b7\u00b7")
 """Superscripts, and the other code points of micro, ohm, kelvin, minus and the dot."""
 _FACTOR = re.compile(r"([/.*·]?)([^\W\d_]+|[%°]\w*|1)(?:(?:\^|\*\*)?(?:\((-?\d{1,2})\)|(-?\d{1,2})))?")
+_ANGLE = re.compile("rad|deg|°")
 _GROUP = re.compile(r"/\(([^()/]+)\)")
 LONGEST = 200
 """Characters of a unit that is read: files of others have any number of spaces."""
 WITHOUT = frozenset({"", "-", "1"})
 _SIZES = {
     "m": (1.0, "m"), "kmh": (1 / 3.6, "m/s"), "mph": (0.44704, "m/s"), "g": (1e-3, "kg"), "t": (1e3, "kg"), "A": (1.0, "A"),
-    "K": (1.0, "K"), "s": (1.0, "s"), "min": (60.0, "s"), "h": (3600.0, "s"), "Hz": (1.0, "1/s"), "rpm": (1 / 60, "1/s"), "U": (1.0, "1"),
+    "K": (1.0, "K"), "s": (1.0, "s"), "min": (60.0, "s"), "h": (3600.0, "s"), "Hz": (1.0, "U/s"), "rpm": (1 / 60, "U/s"), "U": (1.0, "U"),
     "%": (0.01, "1"), "rad": (1.0, "1"), "deg": (math.pi / 180, "1"), "°": (math.pi / 180, "1"), "N": (1.0, "kg.m/s2"),
     "Ns": (1.0, "kg.m/s"), "Nm": (1.0, "kg.m2/s2"), "J": (1.0, "kg.m2/s2"), "Ws": (1.0, "kg.m2/s2"), "Wh": (3600.0, "kg.m2/s2"),
     "W": (1.0, "kg.m2/s3"), "Pa": (1.0, "kg/m/s2"), "bar": (1e5, "kg/m/s2"), "V": (1.0, "kg.m2/s3/A"), "\u03a9": (1.0, "kg.m2/s3/A2"),
-    "As": (1.0, "A.s"), "Ah": (3600.0, "A.s"),
+    "As": (1.0, "A.s"), "Ah": (3600.0, "A.s"), "Ohm": (1.0, "kg.m2/s3/A2"), "sec": (1.0, "s"), "°C": (1.0, "°C"), "degC": (1.0, "°C"),
 }  # fmt: skip
-"""Sizes of symbols in base units. `U` counts revolutions."""
+"""Sizes of symbols in base units. `U` counts revolutions, which agree with 1, but not with an angle."""
 _PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "h": 1e2, "d": 1e-1, "c": 1e-2, "m": 1e-3, "\u03bc": 1e-6, "n": 1e-9}
 _BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 """Base units of FMI."""
@@ -60,7 +61,10 @@ def agree(unit: str, other: str) -> bool | None:
     if {unit.strip(), other.strip()} & WITHOUT or same(unit, other):
         return True
     one, another = _size(unit), _size(other)
-    return None if one is None or another is None else one[1] == another[1] and math.isclose(one[0], another[0], rel_tol=1e-6)
+    if one is None or another is None:
+        return None
+    counts = one[1].pop("U", 0) == another[1].pop("U", 0) or not any(map(_ANGLE.search, (unit, other)))
+    return counts and one[1] == another[1] and math.isclose(one[0], another[0], rel_tol=1e-6)
 
 
 def _size(unit: str) -> tuple[float, Counter[str]] | None:

@@ -118,6 +118,10 @@ def test_effects_that_all_sets_share_disappear_from_comparisons() -> None:
     standing = assess(samples)
     assert np.allclose(standing.means - standing.means[0], -np.arange(6.0), atol=0.3)
     assert standing.errors.max() < 0.3 < 10 < standing.standard_errors.min()
+    samples = np.random.Generator(np.random.PCG64(3)).normal(size=(8, 60))
+    samples[1:, 4:] = np.nan
+    moved = assess(samples + (np.arange(60) > 3)).means - assess(samples).means
+    assert moved[0] - moved[1] > 0.3, "runs under seeds that no other set has count as well"
 
 
 def test_equal_sets_are_the_best_with_equal_probability_however_large_their_objectives() -> None:

@@ -172,13 +172,13 @@ def _at_worst(stored: StoredRanking, front: CampaignFront | None, chosen: Chosen
         judged = {chosen.parameter_set}
     elif front is not None and len(goals.objectives) > 1:
         judged = front.ranks.keys()
-    scales = {goal.value.key: goal.value.scale for goal in (*goals.objectives, *goals.bounds) if goal.value.scale is not None}
     worst: dict[tuple[str, str], set[int]] = {}
     for cell in stored.answers:
-        if cell.parameter_set in judged and not cell.failed:
-            for key, scale in scales.items():
-                if (cell.score if key == SCORE else cell.values.get(key)) == scale.failed:
-                    worst.setdefault((scale.name, cell.scenario), set()).add(cell.parameter_set)
+        for goal in (*goals.objectives, *goals.bounds) if cell.parameter_set in judged and not cell.failed else ():
+            key, scale = goal.value.key, goal.value.scale
+            value = cell.score if key == SCORE else cell.values.get(key)
+            if scale is not None and cell.scenario in goal.shares and value == scale.failed:
+                worst.setdefault((scale.name, cell.scenario), set()).add(cell.parameter_set)
     of = f" of {len(judged):,} sets" if len(judged) > 1 else ""
     return [f"{name} in {scenario}{of and f' ({len(sets):,}{of})'}" for (name, scenario), sets in worst.items()]
 

@@ -171,7 +171,7 @@ class SurrogateSearch:
             self.tell(told)
         for begun, (*fate, was_whole) in zip(self._answers.sets, state.get("sets", ()), strict=False):
             begun.promise, begun.improbable, begun.beaten = fate
-            begun.whole |= was_whole  # or an answer since has made it so
+            begun.whole |= was_whole
         for model, document in zip(self._models, state.get("models", ()), strict=False):
             model.restore(document)
 
@@ -181,10 +181,7 @@ class SurrogateSearch:
         at_once = min(-(-self._aim.scenarios // TURNS), room * self._task.window)
         room = room if left is None else min(room, left)
         cells: list[AskedCell] = []
-        for begun in self._answers.sets:
-            left = self._left
-            if begun.whole and len(cells) < room and (left is None or len(self._answers.missing(begun)) <= left):
-                self._ask_all(begun, room, cells)
+        self._ask_whole(self._answers.sets, room, cells)
         if len(cells) < room:
             self._search(room, at_once, cells)
         return cells
@@ -197,6 +194,12 @@ class SurrogateSearch:
         self._answers.ask(begun, scenario)
         cells.append(AskedCell(begun.indices, scenario, begun.replicate))
         self._spent += 1
+
+    def _ask_whole(self, sets: Sequence[BegunSet], room: int, cells: list[AskedCell]) -> None:
+        for begun in sets:
+            left = self._left
+            if begun.whole and len(cells) < room and (left is None or len(self._answers.missing(begun)) <= left):
+                self._ask_all(begun, room, cells)
 
     def _ask_all(self, begun: BegunSet, room: int, cells: list[AskedCell]) -> None:
         for scenario in self._answers.missing(begun)[: room - len(cells)].tolist():
@@ -215,11 +218,11 @@ class SurrogateSearch:
             for aim, needs in zip(self._aims, self._needs, strict=True)
         ]
         self._merits = {}
-        for (
-            begun
-        ) in self._answers.asked_on:  # a campaign ranks sets by cells of its own: what was stored is asked of the best alone
-            merits = [(self._merit(begun.number, aim), self._values([begun])) for aim in range(len(self._aims))]
-            begun.whole = self._aim.objectives > 1 or any(merit(values)[0] >= merit.best for merit, values in merits)
+        # a campaign ranks sets by cells of its own: what was stored is asked of the best alone
+        for begun in self._answers.asked_on:
+            values, merits = self._values([begun]), [self._merit(begun.number, aim) for aim in range(len(self._aims))]
+            begun.whole = any(self._aim.objectives > 1 or each(values)[0] >= each.best - 1e-9 * each.unit for each in merits)
+        self._ask_whole(self._answers.sets, room, cells)
         promising = self._promising()
         for begun, drawn, aim in promising:
             if self._left is not None and len(self._answers.missing(begun, self._needs[aim])) > self._left:
