@@ -33,7 +33,7 @@ from drivecal.domain.campaigns import CampaignState
 from drivecal.domain.rounding import grain
 
 FEW = 0.1
-"""Largest share of cells without a result or a score of their own that is no doubt: none of them is of the best set."""
+"""Largest share of cells without a result or a score of their own that is no doubt: runs of the judged sets have other verdicts."""
 LONG = 3
 """Least number of iterations that gives a search time to improve its first result."""
 NEARLY = 80

@@ -59,10 +59,10 @@ SCORES = CONFIRMED | {
     "failing_runs": "Failed runs of {subject}: {failures:,}; up to {most:.1 %} of further runs may fail (95 %).",
     "without_result": "{count:,} of {requested:,} requested cells have no result ({share:.1 %}).",
     "without_score": "{count:,} of {requested:,} requested cells have no score, because the formula has no value ({share:.1 %}).",
-    "cut": "{count:n score} ({share:.1 %} of the cells) are worse than the worth of a failed run and count as it: "
+    "cut": "{count:n cell} ({share:.1 %}) with a score that is worse than the worth of a failed run, and counts as it: "
     + REMEDY
     + ".",
-    "at_worst": "Runs of {subject} did not fail, but count as failed ones, whatever they are: {values:list}; " + REMEDY + ".",
+    "at_worst": "Runs of {subject} did not fail, but have the worth of failed ones: {values:list}; " + REMEDY + ".",
     "robust": "The recommended set keeps its scores, within the study's limit, in the vehicles of the study that differ by up to "
     "{least}{radius:.1 %} of the ranges{failing}{unseen}.",
     "not_robust": "The recommended set breaks the study's limit in its first box of vehicles (it holds up to {least}{radius:.1 %} of the "

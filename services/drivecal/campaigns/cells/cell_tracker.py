@@ -32,8 +32,8 @@ from drivecal.storage.results import StoredEvaluation
 
 
 class ScoreFaults:
-    """Counts runs without a value of a score as `unscored`, and scores that were cut off as `cut`, among the `counts` of a stage: of the
-    campaign's score, and of the others among its objectives and constraints."""
+    """Counts runs without a value of a score as `unscored`, and with a score that was cut off as `cut`, among the `counts` of a stage: by
+    the campaign's score, and by the others among its objectives and constraints."""
 
     def __init__(self, view: View, counts: MutableMapping[str, int]) -> None:
         self._bench, self._counts = view.bench, counts
@@ -51,10 +51,9 @@ class ScoreFaults:
         undefined = next((each.undefined for _, each in ratings if each.undefined is not None), None)
         self._counts["unscored"] += undefined is not None
         self.undefined = self.undefined or undefined
-        for scale, each in ratings:
-            if each.cut is not None:
-                self._counts["cut"] += 1
-                self.cut = self.cut or cut_text(scenario, scale.name, each.cut, scale.failed)
+        cut = [cut_text(scenario, scale.name, each.cut, scale.failed) for scale, each in ratings if each.cut is not None]
+        self._counts["cut"] += bool(cut)
+        self.cut = self.cut or next(iter(cut), None)
 
     def note_stored(self, connection: Connection, stored: Sequence[tuple[str, Donor]]) -> None:
         """Takes answers of stored runs, by scenario. Only formulas know which have faults: runs that may have some are rated again."""

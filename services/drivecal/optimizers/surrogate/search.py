@@ -181,7 +181,7 @@ class SurrogateSearch:
         at_once = min(-(-self._aim.scenarios // TURNS), room * self._task.window)
         room = room if left is None else min(room, left)
         cells: list[AskedCell] = []
-        self._ask_whole(self._answers.sets, room, cells)
+        self._ask_whole(room, cells)
         if len(cells) < room:
             self._search(room, at_once, cells)
         return cells
@@ -195,8 +195,8 @@ class SurrogateSearch:
         cells.append(AskedCell(begun.indices, scenario, begun.replicate))
         self._spent += 1
 
-    def _ask_whole(self, sets: Sequence[BegunSet], room: int, cells: list[AskedCell]) -> None:
-        for begun in sets:
+    def _ask_whole(self, room: int, cells: list[AskedCell]) -> None:
+        for begun in self._answers.sets:
             left = self._left
             if begun.whole and len(cells) < room and (left is None or len(self._answers.missing(begun)) <= left):
                 self._ask_all(begun, room, cells)
@@ -222,7 +222,7 @@ class SurrogateSearch:
         for begun in self._answers.asked_on:
             values, merits = self._values([begun]), [self._merit(begun.number, aim) for aim in range(len(self._aims))]
             begun.whole = any(self._aim.objectives > 1 or each(values)[0] >= each.best - 1e-9 * each.unit for each in merits)
-        self._ask_whole(self._answers.sets, room, cells)
+        self._ask_whole(room, cells)
         promising = self._promising()
         for begun, drawn, aim in promising:
             if self._left is not None and len(self._answers.missing(begun, self._needs[aim])) > self._left:
